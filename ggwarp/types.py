@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The values that pass between rooms: camera, frame, tracking result, map snapshot.
+
+Frames: world and camera, OpenCV axes (x right, y down, z forward). Poses are named by
+direction: ``T_wc`` takes camera coordinates to world coordinates. Units are metres and radians.
+Pixel (0, 0) is the *centre* of the top-left pixel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float64 = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera.
+
+    Attributes:
+        width, height: image size, pixels.
+        fx, fy: focal lengths, pixels.
+        cx, cy: principal point, pixels; integers are pixel centres.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+    def resized(self, width: int, height: int) -> Camera:
+        """Return the camera of the same picture resampled to ``width`` x ``height``."""
+        sx, sy = width / self.width, height / self.height
+        return Camera(
+            width,
+            height,
+            self.fx * sx,
+            self.fy * sy,
+            (self.cx + 0.5) * sx - 0.5,
+            (self.cy + 0.5) * sy - 0.5,
+        )
+
+    def scaled(self, scale: float) -> Camera:
+        """Return the camera of the same picture at ``scale`` (sizes rounded to whole pixels)."""
+        return self.resized(max(1, round(self.width * scale)), max(1, round(self.height * scale)))
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One RGB-D image, with what else the data set knows of it.
+
+    Attributes:
+        index: the frame's index in the sequence.
+        timestamp: seconds.
+        rgb: [h, w, 3] uint8, RGB.
+        depth: [h, w] float32, metres along the optical axis; 0 = no reading. None: monocular.
+        mask: [h, w] int32 object ids as the data gives them; 0 = no object. None: no mask.
+        T_wc: [4, 4] float64 true camera-to-world pose, when known. Never read by tracking.
+        sensor_depth: [H, W] float32 metres, depth at the sensor's own resolution (tracking
+            uses it whatever the image scale); None: same as ``depth``.
+    """
+
+    index: int
+    timestamp: float
+    rgb: NDArray[np.uint8]
+    depth: Float32 | None = None
+    mask: NDArray[np.int32] | None = None
+    T_wc: Float64 | None = None
+    sensor_depth: Float32 | None = None
+
+
+class Verdict(Enum):
+    """What tracking says of a frame's pose."""
+
+    CONVERGED = "converged"
+    POOR = "poor"
+    LOST = "lost"
+
+
+@dataclass(frozen=True)
+class TrackResult:
+    """A frame's pose and how far to trust it.
+
+    Attributes:
+        T_wc: [4, 4] float64 camera-to-world.
+        verdict: converged, poor (usable, but weak) or lost (``T_wc`` is a prediction).
+        reason: one clause that says why, empty when converged.
+        overlap: share of frame points with a map match closer than ``overlap_distance``.
+        rmse: root mean square of the matched point distances, metres.
+        iterations: linearisations spent.
+        points: [n, 3] float32 the frame's subsampled points, camera frame, metres.
+        quats: [n, 4] float32 rotation of each point's ellipse, camera frame, w first.
+        scales: [n, 3] float32 standard deviations of the ellipse, metres, not normalised.
+        distances2: [n] float32 squared distance to the nearest trackable Gaussian after
+            registration, m^2; inf where none is within reach.
+        pixels: [n, 2] int32 sensor pixel (u, v) each point came from.
+    """
+
+    T_wc: Float64
+    verdict: Verdict
+    reason: str = ""
+    overlap: float = 0.0
+    rmse: float = 0.0
+    iterations: int = 0
+    points: Float32 | None = None
+    quats: Float32 | None = None
+    scales: Float32 | None = None
+    distances2: Float32 | None = None
+    pixels: NDArray[np.int32] | None = None
+
+
+@dataclass(frozen=True)
+class MapSnapshot:
+    """What the tracker sees of the map: its trackable Gaussians, world frame, unchanging.
+
+    Attributes:
+        version: grows by one with every change of the trackable set.
+        means: [n] wp.vec3, metres.
+        quats: [n] wp.vec4, w first, unit length.
+        scales: [n] wp.vec3, standard deviations, metres.
+    """
+
+    version: int
+    means: Any
+    quats: Any
+    scales: Any
+
+    @property
+    def count(self) -> int:
+        return self.means.shape[0]
