@@ -136,3 +136,56 @@ class MapSnapshot:
     @property
     def count(self) -> int:
         return self.means.shape[0]
+
+
+@dataclass(frozen=True)
+class Rendered:
+    """A view of the map, on the host.
+
+    Attributes:
+        rgb: [h, w, 3] float32 in 0..1 (clipped).
+        depth: [h, w] float32 metres, expected depth (alpha-weighted, not normalised).
+        median_depth: [h, w] float32 metres; 0 where the map is not opaque.
+        opacity: [h, w] float32, accumulated alpha.
+        identity: [h, w, 16] float32; None without identities.
+        objects: [h, w] int32 object ids as the given masks name them, 0 = none; None without
+            identities.
+    """
+
+    rgb: Float32
+    depth: Float32
+    median_depth: Float32
+    opacity: Float32
+    identity: Float32 | None = None
+    objects: NDArray[np.int32] | None = None
+
+
+@dataclass(frozen=True)
+class StepReport:
+    """What one frame cost and gave: a row of ``frames.csv``.
+
+    Attributes:
+        index: the frame's index in the sequence.
+        timestamp: seconds.
+        T_wc: [4, 4] float64 the estimated (or predicted) pose.
+        verdict, reason, overlap, rmse: see :class:`TrackResult`.
+        keyframe: "", "tracking" or "mapping".
+        tracking_ms, mapping_ms: wall time, milliseconds.
+        mapping_iterations: iterations spent during this frame.
+        gaussians: Gaussians in the map afterwards.
+        loss: mean mapping loss over this frame's iterations; nan when there was none.
+    """
+
+    index: int
+    timestamp: float
+    T_wc: Float64
+    verdict: Verdict
+    reason: str
+    overlap: float
+    rmse: float
+    keyframe: str
+    tracking_ms: float
+    mapping_ms: float
+    mapping_iterations: int
+    gaussians: int
+    loss: float
