@@ -65,8 +65,9 @@ def launch_split(
         return
     if _pool is None:
         _pool = ThreadPoolExecutor(_threads, thread_name_prefix="ggwarp-launch")
-    # Load the module here: two threads must not compile it at once.
-    kernel.module.load(device)
+    # Load the module here: two threads must not compile it at once. CPU launches run with blocks of one;
+    # loading for another block size would compile the module a second time.
+    kernel.module.load(device, block_dim=1)
     bounds = [count * i // pieces for i in range(pieces + 1)]
 
     def run(piece: int) -> None:
