@@ -1,1 +1,111 @@
 # SPDX-License-Identifier: Apache-2.0
+"""Sequences of RGB-D frames: Replica, TUM RGB-D, plain folders, the built-in office."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ggwarp.datasets.base import KINDS, Dataset, DatasetError, FrameError, Kind, Masks, WithoutMasks, register
+
+if TYPE_CHECKING:
+    from ggwarp.datasets.reader import BadFrame, FrameReader
+    from ggwarp.datasets.synthetic import SyntheticOffice
+
+__all__ = [
+    "KINDS",
+    "BadFrame",
+    "Dataset",
+    "DatasetError",
+    "FrameError",
+    "FrameReader",
+    "Kind",
+    "SyntheticOffice",
+    "open_dataset",
+    "register",
+]
+
+BUILT_IN = ("office", "synthetic")
+"""Names that always mean the built-in office."""
+FALLBACK = "office0"
+"""The one sequence that the built-in office stands in for where Replica is absent."""
+
+# What needs OpenCV or Warp is imported when first used.
+_LAZY = {
+    "BadFrame": "ggwarp.datasets.reader",
+    "FrameReader": "ggwarp.datasets.reader",
+    "SyntheticOffice": "ggwarp.datasets.synthetic",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _LAZY:
+        return getattr(importlib.import_module(_LAZY[name]), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def open_dataset(seq: str, *, data_root: Path, masks: Masks = None) -> Dataset:
+    """Open a sequence by name or path.
+
+    Args:
+        seq: a name, looked up under ``data_root`` (also in its folders: Replica, TUM, ...), or a
+            path. ``office`` is the built-in synthetic office, and so is ``office0`` where there
+            is no Replica.
+        data_root: folder of the data sets; need not exist.
+        masks: folder of the object masks; None: beside the images, if there; "none": not used.
+
+    Raises:
+        DatasetError: nothing of that name, an unknown layout, or unusable content.
+    """
+    if seq in BUILT_IN:
+        return _built_in(masks)
+    _load_kinds()
+    candidates = _candidates(seq, Path(data_root))
+    folders = [path for path in candidates if path.is_dir()]
+    for path in folders:
+        for kind in KINDS:
+            if kind.recognises(path):
+                return kind.open(path, masks)
+    if folders:
+        layouts = "; ".join(f"{kind.name}: {kind.layout}" for kind in KINDS)
+        raise DatasetError(f"{folders[0]}: holds no sequence that is recognised ({layouts})")
+    files = [path for path in candidates if path.is_file()]
+    if files:
+        raise DatasetError(f"{files[0]}: is a file; --seq takes a sequence's folder or name")
+    if seq == FALLBACK:
+        return _built_in(masks)
+    raise DatasetError(
+        f"{seq}: no such sequence; looked for {', '.join(map(str, candidates))} "
+        f"(--data names another data root, tools/download.py fetches one, --seq office is built in)"
+    )
+
+
+def _load_kinds() -> None:
+    """Register the kinds, the more particular first."""
+    for kind in ("replica", "tum", "folder"):
+        importlib.import_module(f"ggwarp.datasets.{kind}")
+
+
+def _candidates(seq: str, root: Path) -> list[Path]:
+    """Return where ``seq`` may lie, in the order it is looked for."""
+    from ggwarp.datasets.tum import full_name
+
+    given = Path(seq).expanduser()
+    if given.is_absolute() or seq.startswith("."):
+        return [given]
+    names = [seq] + [name for name in [full_name(seq)] if name and name != seq]
+    groups = [root, root / "Replica", root / "TUM"]
+    if root.is_dir():
+        groups += sorted(path for path in root.iterdir() if path.is_dir() and path not in groups)
+    return [group / name for name in names for group in groups] + [given]
+
+
+def _built_in(masks: Masks) -> Dataset:
+    from ggwarp.datasets.synthetic import SyntheticOffice
+
+    if masks is None:
+        return SyntheticOffice()
+    if str(masks) == "none":
+        return WithoutMasks(SyntheticOffice())
+    raise DatasetError(f"{masks}: the built-in office brings its own masks; leave --masks out, or pass none")

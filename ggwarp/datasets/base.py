@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a data set is, how it fails, and the register of the kinds there are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+from ggwarp.types import Camera, Frame
+
+
+class DatasetError(ValueError):
+    """The data cannot be used: one line for the user, with the file, the value and the remedy."""
+
+
+class FrameError(DatasetError):
+    """One frame of a sequence cannot be used; the others can."""
+
+
+@runtime_checkable
+class Dataset(Protocol):
+    """A sequence of frames at their native size.
+
+    Attributes:
+        name: the sequence's name.
+        kind: "replica", "tum", "folder" or "synthetic".
+        camera: the camera of every frame, at its native size.
+        has_depth: whether frames carry depth.
+        has_masks: whether frames carry object masks (single ones may still be missing).
+    """
+
+    name: str
+    kind: str
+    camera: Camera
+    has_depth: bool
+    has_masks: bool
+
+    def __len__(self) -> int:
+        """Return the number of frames."""
+        ...
+
+    def __getitem__(self, index: int) -> Frame:
+        """Return frame ``index``, at native size.
+
+        Raises:
+            FrameError: the frame's files are missing, damaged or of the wrong size.
+            IndexError: ``index`` is outside 0..len-1.
+        """
+        ...
+
+
+class WithoutMasks:
+    """A data set as it is, but for its masks."""
+
+    has_masks = False
+
+    def __init__(self, dataset: Dataset) -> None:
+        self.name, self.kind, self.camera = dataset.name, dataset.kind, dataset.camera
+        self.has_depth = dataset.has_depth
+        self._dataset = dataset
+
+    def __len__(self) -> int:
+        return len(self._dataset)
+
+    def __getitem__(self, index: int) -> Frame:
+        return replace(self._dataset[index], mask=None)
+
+
+Masks = str | Path | None
+"""Where the object masks are: a folder; None: beside the images, if there; "none": not used."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of data set on disk.
+
+    Attributes:
+        name: its name, as ``Dataset.kind`` has it.
+        layout: what marks such a folder, for messages.
+        recognises: whether a folder is of this kind; only looks at names.
+        open: opens a folder of this kind; raises DatasetError.
+    """
+
+    name: str
+    layout: str
+    recognises: Callable[[Path], bool]
+    open: Callable[[Path, Masks], Dataset]
+
+
+KINDS: list[Kind] = []
+"""The kinds known, in the order they are tried: the more particular first."""
+
+
+def register(kind: Kind) -> None:
+    """Make ``kind`` known to :func:`ggwarp.datasets.open_dataset`."""
+    KINDS.append(kind)

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Camera files: ``cam_params.json``, ``camera.json``, ``calibration.txt`` and their relatives."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ggwarp.datasets.base import DatasetError
+from ggwarp.datasets.text import read_numbers, read_text
+from ggwarp.types import Camera
+
+CAMERA_FILES = (
+    "camera.json",
+    "cam_params.json",
+    "camera_intrinsic.json",
+    "calibration.txt",
+    "intrinsics.txt",
+)
+"""Names of the camera files of one's own recordings, in the order they are tried."""
+
+_JSON_EXAMPLE = '{"w": 640, "h": 480, "fx": 525, "fy": 525, "cx": 319.5, "cy": 239.5, "scale": 1000}'
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """How a recording's images are to be read.
+
+    Attributes:
+        camera: the pinhole camera, at native size.
+        depth_scale: raw depth / depth_scale = metres.
+        distortion: the colour lens's OpenCV coefficients (k1 k2 p1 p2 [k3 ...]); empty = none.
+    """
+
+    camera: Camera
+    depth_scale: float
+    distortion: tuple[float, ...] = ()
+
+
+def find_camera_file(folders: Iterable[Path], names: Iterable[str] = CAMERA_FILES) -> Path:
+    """Return the first of ``names`` in the first of ``folders`` that has one.
+
+    Raises:
+        DatasetError: there is none.
+    """
+    folders, names = list(folders), list(names)
+    for folder in folders:
+        for name in names:
+            if (folder / name).is_file():
+                return folder / name
+    searched = " or ".join(str(folder) for folder in folders)
+    raise DatasetError(f"{names[0]}: no camera file in {searched}; write one, such as {_JSON_EXAMPLE}")
+
+
+def read_calibration(path: Path, *, depth_scale: float, size: tuple[int, int]) -> Calibration:
+    """Read a camera file.
+
+    JSON holds ``w h fx fy cx cy scale`` (also below a key "camera"; also ``width height
+    depth_scale distortion``, or Open3D's ``intrinsic_matrix``). Text holds either one line
+    ``fx fy cx cy [k1 k2 p1 p2 [k3]]`` or a 3x3 or 4x4 matrix.
+
+    Args:
+        depth_scale: used where the file gives none.
+        size: (width, height) of the colour images, pixels; used where the file gives none.
+
+    Raises:
+        DatasetError: the file is malformed or a value is out of range.
+    """
+    values = _read_json(path) if path.suffix == ".json" else _read_table(path)
+    values = {"width": size[0], "height": size[1], "depth_scale": depth_scale, **values}
+    for key in ("width", "height", "fx", "fy", "cx", "cy", "depth_scale"):
+        if key not in values:
+            raise DatasetError(f"{path}: {key} is missing; expected such as {_JSON_EXAMPLE}")
+        values[key] = _number(values[key], key, path)
+        if key not in ("cx", "cy") and values[key] <= 0.0:
+            raise DatasetError(f"{path}: {key} is {values[key]:g}; it must be positive")
+    for key in ("width", "height"):
+        if values[key] != int(values[key]):
+            raise DatasetError(f"{path}: {key} is {values[key]:g}; it must be a whole number of pixels")
+    distortion = values.get("distortion", ())
+    if not isinstance(distortion, (list, tuple)) or len(distortion) not in (0, 4, 5, 8):
+        raise DatasetError(
+            f"{path}: distortion is {distortion!r}; expected a list k1 k2 p1 p2 [k3 [k4 k5 k6]]"
+        )
+    camera = Camera(
+        int(values["width"]), int(values["height"]), *(values[key] for key in ("fx", "fy", "cx", "cy"))
+    )
+    coefficients = tuple(_number(value, "distortion", path) for value in distortion)
+    return Calibration(camera, values["depth_scale"], coefficients if any(coefficients) else ())
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    try:
+        values = json.loads(read_text(path))
+    except json.JSONDecodeError as error:
+        raise DatasetError(f"{path}:{error.lineno}: is not JSON ({error.msg})") from error
+    if isinstance(values, dict) and isinstance(values.get("camera"), dict):
+        values = values["camera"]
+    if not isinstance(values, dict):
+        raise DatasetError(f"{path}: is not a JSON object; expected such as {_JSON_EXAMPLE}")
+    for short, full in (("w", "width"), ("h", "height"), ("scale", "depth_scale")):
+        if short in values:
+            values[full] = values[short]
+    matrix = values.get("intrinsic_matrix")
+    if isinstance(matrix, list) and len(matrix) == 9:
+        # Open3D writes its matrix by columns.
+        values.update(fx=matrix[0], fy=matrix[4], cx=matrix[6], cy=matrix[7])
+    return values
+
+
+def _read_table(path: Path) -> dict[str, Any]:
+    rows = [values for _, values in read_numbers(path)]
+    if len(rows) == 1 and len(rows[0]) in (4, 8, 9):
+        fx, fy, cx, cy, *distortion = rows[0]
+        return {"fx": fx, "fy": fy, "cx": cx, "cy": cy, "distortion": distortion}
+    if len(rows) in (3, 4) and all(len(row) == len(rows) for row in rows):
+        return {"fx": rows[0][0], "fy": rows[1][1], "cx": rows[0][2], "cy": rows[1][2]}
+    raise DatasetError(
+        f"{path}: expected one line 'fx fy cx cy [k1 k2 p1 p2 k3]' or a 3x3 matrix, found {len(rows)} lines"
+    )
+
+
+def _number(value: Any, key: str, path: Path) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise DatasetError(f"{path}: {key} is {value!r}; it must be a finite number")
+    return float(value)

@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Per-frame object masks, in the three forms that segmenters write.
+
+- ``object_mask/<stem>.png``: one channel, 8 or 16 bits, the value is the id.
+- ``Annotations/<stem>.png``: RGB-coded, id = R + 256 G + 65536 B (DEVA's long ids).
+- ``Annotations/<stem>.png``: a palette image, the palette index is the id (DEVA's short ids).
+
+0 = no object. The form is told by the file, not by the folder.
+"""
+
+from __future__ import annotations
+
+import logging
+import struct
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ggwarp.datasets.base import DatasetError, FrameError, Masks
+from ggwarp.datasets.images import PNG_SIGNATURE, decode, png_chunks, read_bytes
+from ggwarp.datasets.resize import resize_nearest
+
+log = logging.getLogger(__name__)
+
+MASK_FOLDERS = ("object_mask", "Annotations")
+_PALETTE = 3  # PNG colour type
+
+
+class MaskFolder:
+    """The object masks of a sequence."""
+
+    def __init__(self, folder: Path, stems: Sequence[str]) -> None:
+        """Match the masks in ``folder`` with the frames whose image stems are ``stems``."""
+        self.folder = folder
+        present = {path.stem for path in folder.glob("*.png")}
+        self._found = [folder / f"{stem}.png" if stem in present else None for stem in stems]
+        self._warned_size = False
+
+    @property
+    def count(self) -> int:
+        """Number of frames that have a mask."""
+        return sum(path is not None for path in self._found)
+
+    def read(self, index: int, width: int, height: int) -> NDArray[np.int32] | None:
+        """Return frame ``index``'s object ids [height, width]; None where there is no mask.
+
+        A mask of another size is resampled by nearest neighbour, with one warning a sequence;
+        an unreadable one counts as missing, with a warning: the frame itself is good.
+        """
+        path = self._found[index]
+        if path is None:
+            return None
+        try:
+            ids = read_mask(path)
+        except FrameError as error:
+            log.warning("%s: frame %d goes without a mask", error, index)
+            return None
+        if ids.shape != (height, width):
+            if not self._warned_size:
+                log.warning(
+                    "%s: %dx%d, but the colour image is %dx%d; masks are resampled (nearest neighbour)",
+                    path,
+                    ids.shape[1],
+                    ids.shape[0],
+                    width,
+                    height,
+                )
+                self._warned_size = True
+            ids = resize_nearest(ids, width, height)
+        return ids
+
+
+def find_masks(sequence: Path, stems: Sequence[str], masks: Masks = None) -> MaskFolder | None:
+    """Find the masks of a sequence.
+
+    Args:
+        sequence: the sequence's folder.
+        stems: stem of each frame's colour image.
+        masks: a folder that holds ``<stem>.png``, or ``object_mask/`` or ``Annotations/`` that
+            does; None: look in ``sequence``; "none": do without.
+
+    Raises:
+        DatasetError: a folder was named, but has no mask of any frame.
+    """
+    if masks is None:
+        folders = [sequence / name for name in MASK_FOLDERS]
+    elif str(masks) == "none":
+        return None
+    else:
+        given = Path(masks)
+        if not given.is_dir():
+            raise DatasetError(
+                f"{given}: no such folder; --masks names a folder of <image stem>.png, or none"
+            )
+        folders = [given, *(given / name for name in MASK_FOLDERS)]
+    for folder in folders:
+        if folder.is_dir() and (found := MaskFolder(folder, stems)).count:
+            return found
+    if masks is not None:
+        example = f"{stems[0]}.png" if stems else "<image stem>.png"
+        raise DatasetError(
+            f"{masks}: holds no mask of any frame; masks are named as the images, such as {example}"
+        )
+    return None
+
+
+def read_mask(path: Path) -> NDArray[np.int32]:
+    """Return the object ids [h, w] of a mask file, in any of the three forms; 0 = no object.
+
+    Raises:
+        FrameError: the file is missing, damaged or of none of the forms.
+    """
+    data = read_bytes(path)
+    palette = _without_palette(data, path)
+    if palette is not None:
+        grey, bits = palette
+        # OpenCV spreads fewer bits over 0..255.
+        return (decode(grey, path, cv2.IMREAD_UNCHANGED) // (255 // (2**bits - 1))).astype(np.int32)
+    image = decode(data, path, cv2.IMREAD_UNCHANGED)
+    if image.ndim == 2:
+        return image.astype(np.int32)
+    if image.dtype != np.uint8:
+        raise FrameError(
+            f"{path}: {image.shape[2]} channels of {image.dtype}; RGB-coded ids are 8 bits a channel"
+        )
+    blue, green, red = (image[..., channel].astype(np.int32) for channel in range(3))
+    return red + 256 * green + 65536 * blue
+
+
+def _without_palette(data: bytes, path: Path) -> tuple[bytes, int] | None:
+    """Return a palette PNG as a grey one of the same indices, and its bits a pixel; else None.
+
+    OpenCV turns a palette into colours, of which two indices may share one.
+    """
+    if not data.startswith(PNG_SIGNATURE):
+        return None
+    chunks = list(png_chunks(data, path))
+    header = chunks[0][1]
+    if len(header) != 13 or header[9] != _PALETTE:
+        return None
+    grey = bytearray(PNG_SIGNATURE)
+    for kind, content in chunks:
+        if kind == b"IHDR":
+            content = header[:9] + b"\x00" + header[10:]
+        elif kind not in (b"IDAT", b"IEND"):
+            continue
+        grey += struct.pack(">I", len(content)) + kind + content
+        grey += struct.pack(">I", zlib.crc32(kind + content))
+    return bytes(grey), header[8]

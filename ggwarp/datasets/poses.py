@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ground-truth poses from text files; a row that is no pose becomes None, with a warning."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+
+from ggwarp import lie
+from ggwarp.datasets.base import DatasetError
+from ggwarp.datasets.text import read_numbers
+from ggwarp.types import Float64
+
+log = logging.getLogger(__name__)
+
+_ROTATION_TOLERANCE = 1e-2
+"""Largest entry of R^T R - I that the rounding of a text file may leave."""
+
+
+def read_matrices(path: Path) -> list[Float64 | None]:
+    """Read camera-to-world poses, one row-major 4x4 (or 3x4) matrix a line.
+
+    Returns:
+        One [4, 4] float64 pose a line, metres; None where the row is not finite or not a
+        rigid motion (one warning says which lines).
+
+    Raises:
+        DatasetError: a line does not hold 12 or 16 numbers.
+    """
+    poses: list[Float64 | None] = []
+    unusable = []
+    for line, values in read_numbers(path):
+        if len(values) not in (12, 16):
+            raise DatasetError(
+                f"{path}:{line}: {len(values)} numbers; a pose is a 4x4 matrix, 16 numbers a line"
+            )
+        pose = _rigid(np.array(values).reshape(-1, 4))
+        poses.append(pose)
+        if pose is None:
+            unusable.append(line)
+    _warn(path, unusable)
+    return poses
+
+
+def read_matrix(path: Path) -> Float64 | None:
+    """Read one camera-to-world pose, a 4x4 matrix in a file of its own; None where it is no pose."""
+    values = [value for _, row in read_numbers(path) for value in row]
+    if len(values) not in (12, 16):
+        raise DatasetError(f"{path}: {len(values)} numbers; a pose is a 4x4 matrix, 16 numbers")
+    pose = _rigid(np.array(values).reshape(-1, 4))
+    if pose is None:
+        _warn(path, [1])
+    return pose
+
+
+def read_stamped(path: Path) -> tuple[Float64, list[Float64 | None]]:
+    """Read a TUM trajectory: ``t tx ty tz qx qy qz qw`` a line, camera-to-world.
+
+    Returns:
+        [n] timestamps in seconds, and n poses [4, 4] or None as in :func:`read_matrices`.
+
+    Raises:
+        DatasetError: a line does not hold 8 numbers, or its time is not finite.
+    """
+    stamps: list[float] = []
+    poses: list[Float64 | None] = []
+    unusable = []
+    for line, values in read_numbers(path):
+        if len(values) != 8:
+            raise DatasetError(f"{path}:{line}: {len(values)} numbers; expected t tx ty tz qx qy qz qw")
+        t, tx, ty, tz, qx, qy, qz, qw = values
+        if not np.isfinite(t):
+            raise DatasetError(f"{path}:{line}: {t} is not a time")
+        length = np.linalg.norm([qx, qy, qz, qw])
+        pose = None
+        if np.isfinite(values).all() and abs(length - 1.0) < _ROTATION_TOLERANCE:
+            pose = np.eye(4)
+            pose[:3, :3] = lie.matrix_from_quat([qw, qx, qy, qz])
+            pose[:3, 3] = tx, ty, tz
+        else:
+            unusable.append(line)
+        stamps.append(t)
+        poses.append(pose)
+    _warn(path, unusable)
+    return np.array(stamps), poses
+
+
+def _rigid(rows: Float64) -> Float64 | None:
+    T = np.eye(4)
+    T[: len(rows)] = rows
+    R = T[:3, :3]
+    if not np.isfinite(T).all() or np.abs(R.T @ R - np.eye(3)).max() > _ROTATION_TOLERANCE:
+        return None
+    if np.linalg.det(R) < 0.0 or np.abs(T[3] - (0.0, 0.0, 0.0, 1.0)).max() > 1e-6:
+        return None
+    return T
+
+
+def _warn(path: Path, lines: list[int]) -> None:
+    if lines:
+        shown = ", ".join(map(str, lines[:5])) + (", ..." if len(lines) > 5 else "")
+        log.warning(
+            "%s: %d of its rows hold no pose (line %s): frames without truth", path, len(lines), shown
+        )

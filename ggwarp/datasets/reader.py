@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Frames read ahead by a thread, at the run's image scale."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from types import TracebackType
+
+import cv2
+import numpy as np
+
+from ggwarp.datasets.base import Dataset, DatasetError, FrameError
+from ggwarp.datasets.resize import reduce_depth, resize_nearest
+from ggwarp.types import Camera, Frame
+
+
+@dataclass(frozen=True)
+class BadFrame:
+    """A frame that cannot be used.
+
+    Attributes:
+        index: its index in the sequence.
+        reason: one line that names the file and what is wrong.
+    """
+
+    index: int
+    reason: str
+
+
+class FrameReader:
+    """Iterates over a sequence's frames; a thread reads and resamples them ahead.
+
+    ::
+
+        with FrameReader(dataset, range(len(dataset)), scale=0.5) as reader:
+            for frame in reader:
+                ...  # a Frame or a BadFrame
+    """
+
+    def __init__(
+        self, dataset: Dataset, indices: Sequence[int], *, scale: float = 1.0, ahead: int = 4
+    ) -> None:
+        """Prepare to read; the thread starts with the first iteration.
+
+        Args:
+            indices: frames to read, in this order.
+            scale: image scale in (0, 1]: colour, depth and mask are resampled, and
+                ``Frame.sensor_depth`` keeps the native depth where the scale is not 1.
+            ahead: frames held ready.
+
+        Raises:
+            DatasetError: ``scale`` is out of range.
+        """
+        if not 0.0 < scale <= 1.0:
+            raise DatasetError(f"scale {scale:g}: the image scale lies above 0 and is at most 1")
+        self.sensor_camera = dataset.camera
+        """The camera of ``sensor_depth``: native size."""
+        self.camera = dataset.camera.scaled(scale)
+        """The camera of the frames handed out."""
+        self._dataset = dataset
+        self._indices = list(indices)
+        self._ahead = ahead
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def __len__(self) -> int:
+        return len(self._indices)
+
+    def __enter__(self) -> FrameReader:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop reading; frames not handed out yet are dropped."""
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join()
+
+    def __iter__(self) -> Iterator[Frame | BadFrame]:
+        self.close()
+        self._stop = threading.Event()
+        ready: queue.Queue[Frame | BadFrame | BaseException] = queue.Queue(self._ahead)
+        self._thread = threading.Thread(
+            target=self._read, args=(ready, self._stop), name="frame-reader", daemon=True
+        )
+        self._thread.start()
+        for _ in self._indices:
+            item = ready.get()
+            if isinstance(item, BaseException):
+                raise item
+            yield item
+
+    def _read(self, ready: queue.Queue[Frame | BadFrame | BaseException], stop: threading.Event) -> None:
+        for index in self._indices:
+            if stop.is_set():
+                return
+            try:
+                item = resized(self._dataset[index], self.camera)
+            except FrameError as error:
+                item = BadFrame(index, str(error))
+            except BaseException as error:  # handed to the reader's user, who would else wait for ever
+                item = error
+            while not stop.is_set():
+                try:
+                    ready.put(item, timeout=0.1)
+                    break
+                except queue.Full:
+                    continue
+            if isinstance(item, BaseException):
+                return
+
+
+def resized(frame: Frame, camera: Camera) -> Frame:
+    """Return ``frame`` resampled to ``camera``'s size; ``sensor_depth`` keeps the native depth."""
+    if frame.rgb.shape[:2] == (camera.height, camera.width):
+        return frame
+    rgb = cv2.resize(frame.rgb, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+    depth, mask = frame.depth, frame.mask
+    return replace(
+        frame,
+        rgb=np.asarray(rgb, np.uint8),
+        depth=None if depth is None else reduce_depth(depth, camera.width, camera.height),
+        mask=None if mask is None else resize_nearest(mask, camera.width, camera.height),
+        sensor_depth=depth,
+    )

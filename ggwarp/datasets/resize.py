@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Resampling that respects what a pixel means: a label is not averaged, nor depth across an edge."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ggwarp.types import Float32
+
+_AGREEMENT = 0.02
+"""Readings agree when max - min is below this share of their mean."""
+
+
+def resize_nearest(image: NDArray, width: int, height: int) -> NDArray:
+    """Return ``image`` [h, w] resampled to [height, width] by nearest pixel centre."""
+    rows = ((np.arange(height) + 0.5) * image.shape[0] / height).astype(np.intp)
+    columns = ((np.arange(width) + 0.5) * image.shape[1] / width).astype(np.intp)
+    return image[rows[:, None], columns]
+
+
+def reduce_depth(depth: Float32, width: int, height: int) -> Float32:
+    """Return ``depth`` reduced to [height, width], never mixing two surfaces.
+
+    A target pixel is the area-weighted mean of the valid readings that its footprint touches where
+    these agree to 2 %; where they do not, it is the valid one nearest to the footprint's centre.
+
+    Args:
+        depth: [H, W] metres, 0 = no reading; height <= H, width <= W.
+
+    Returns:
+        [height, width] metres, 0 where the footprint has no reading.
+    """
+    if depth.shape == (height, width):
+        return depth
+    rows, columns = _footprints(depth.shape[0], height), _footprints(depth.shape[1], width)
+    valid = depth > 0.0
+    weight = cv2.resize(valid.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA)
+    total = cv2.resize(depth, (width, height), interpolation=cv2.INTER_AREA)
+    out = np.divide(total, weight, out=np.zeros((height, width), np.float32), where=weight > 0.0)
+    highest = _over_footprints(np.maximum, depth, rows, columns)
+    lowest = _over_footprints(np.minimum, np.where(valid, depth, np.float32(np.inf)), rows, columns)
+    y, x = np.nonzero(highest - lowest >= _AGREEMENT * np.maximum(out, np.float32(1e-6)))
+    if len(y):
+        out[y, x] = _nearest_to_centre(depth, rows[y], columns[x])
+    return out
+
+
+def _footprints(size: int, target: int) -> NDArray[np.intp]:
+    """Return [target, 2] the half-open range of source pixels that each target pixel touches."""
+    first = np.arange(target) * size // target
+    end = -(-(np.arange(target) + 1) * size // target)
+    return np.stack([first, end], axis=1)
+
+
+def _over_footprints(
+    ufunc: np.ufunc, image: Float32, rows: NDArray[np.intp], columns: NDArray[np.intp]
+) -> Float32:
+    """Return ``ufunc`` (maximum or minimum) of ``image`` over every footprint."""
+    for axis, ranges in ((0, rows), (1, columns)):
+        image_out = image.take(ranges[:, 0], axis=axis)
+        for step in range(1, (ranges[:, 1] - ranges[:, 0]).max()):
+            inside = np.minimum(ranges[:, 0] + step, ranges[:, 1] - 1)
+            ufunc(image_out, image.take(inside, axis=axis), out=image_out)
+        image = image_out
+    return image
+
+
+def _nearest_to_centre(depth: Float32, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Float32:
+    """Return the valid reading nearest to the centre of each footprint, rows x columns [n, 2] each."""
+    centre_v, centre_u = (rows.sum(axis=1) - 1) / 2, (columns.sum(axis=1) - 1) / 2
+    best = np.full(len(rows), np.inf)
+    out = np.zeros(len(rows), np.float32)
+    for i in range((rows[:, 1] - rows[:, 0]).max()):
+        v = np.minimum(rows[:, 0] + i, rows[:, 1] - 1)
+        for j in range((columns[:, 1] - columns[:, 0]).max()):
+            u = np.minimum(columns[:, 0] + j, columns[:, 1] - 1)
+            reading = depth[v, u]
+            distance = (v - centre_v) ** 2 + (u - centre_u) ** 2
+            closer = (reading > 0.0) & (distance < best)
+            best[closer] = distance[closer]
+            out[closer] = reading[closer]
+    return out
