@@ -1,0 +1,341 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which splats fall on which tile, front to back.
+
+Visible Gaussians are sorted by depth: rank r is the r-th nearest. Each (rank, tile) pair has a
+*slot*; the slots of a rank are contiguous, so that gradients written per slot are summed per
+Gaussian without atomics. Slots sorted stably by tile give each tile its splats in depth order.
+
+On the CPU counts are read (memory is shared) and the second sort is a serial counting sort; on CUDA
+nothing is read back: slots up to the capacity are sorted, unused ones carry a sentinel tile.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import warp as wp
+
+from ggwarp.kernels.project import TILE
+
+wp.set_module_options({"enable_backward": False})
+
+VISIBLE = wp.constant(0)
+PAIRS = wp.constant(1)
+OVERFLOW = wp.constant(2)
+
+
+class TileCapacityError(RuntimeError):
+    """More (splat, tile) pairs than slots.
+
+    Attributes:
+        needed: slots that would have been enough.
+    """
+
+    def __init__(self, needed: int, capacity: int) -> None:
+        super().__init__(f"{needed} pairs of splats and tiles, but only {capacity} slots: allocate more")
+        self.needed = needed
+
+
+@dataclass(frozen=True)
+class TileArrays:
+    """The binning's results and scratch, for n Gaussians, P slots and t tiles.
+
+    Attributes:
+        order: [2n] int: rank -> Gaussian for the first ``counts[0]`` entries; the rest is scratch.
+        slot_offsets: [n + 1] int: slots of rank r are slot_offsets[r] .. slot_offsets[r + 1].
+        slot_gaussians: [P] int: slot -> Gaussian.
+        pair_slots: [2P] int: slots sorted by tile, then depth; the second half is scratch.
+        tile_ranges: [t] vec2i: begin and end of each tile (row by row) in ``pair_slots``.
+        counts: [3] int: visible Gaussians, pairs, whether the pairs exceed P.
+        depth_keys, pair_counts, pair_tiles: scratch: [2n] float, [n + 1] and [2P] int.
+    """
+
+    order: wp.array
+    slot_offsets: wp.array
+    slot_gaussians: wp.array
+    pair_slots: wp.array
+    tile_ranges: wp.array
+    counts: wp.array
+    depth_keys: wp.array
+    pair_counts: wp.array
+    pair_tiles: wp.array
+
+    @property
+    def capacity(self) -> int:
+        """Slots."""
+        return self.slot_gaussians.shape[0]
+
+
+def tiles_across(pixels: int) -> int:
+    """Return how many tiles cover ``pixels``."""
+    return -(-pixels // int(TILE))
+
+
+@wp.func
+def _tiles_of(rect: wp.vec4i):
+    return (rect[2] - rect[0]) * (rect[3] - rect[1])
+
+
+@wp.kernel
+def _gather_visible(
+    tile_rects: wp.array[wp.vec4i],
+    depths: wp.array[float],
+    count: int,
+    depth_keys: wp.array[float],
+    order: wp.array[int],
+    counts: wp.array[int],
+):
+    """Serial, CPU only."""
+    visible = int(0)
+    for i in range(count):
+        rect = tile_rects[i]
+        if rect[2] > rect[0]:
+            depth_keys[visible] = depths[i]
+            order[visible] = i
+            visible += 1
+    counts[VISIBLE] = visible
+
+
+@wp.kernel
+def _bin_serial(
+    tile_rects: wp.array[wp.vec4i],
+    order: wp.array[int],
+    tiles_x: int,
+    capacity: int,
+    slot_offsets: wp.array[int],
+    slot_gaussians: wp.array[int],
+    pair_slots: wp.array[int],
+    tile_ranges: wp.array[wp.vec2i],
+    counts: wp.array[int],
+):
+    """A counting sort by tile: serial, CPU only."""
+    for t in range(tile_ranges.shape[0]):
+        tile_ranges[t] = wp.vec2i(0, 0)
+    pairs = wp.int64(0)
+    for rank in range(counts[VISIBLE]):
+        rect = tile_rects[order[rank]]
+        slot_offsets[rank] = int(pairs)
+        pairs += wp.int64(_tiles_of(rect))
+    slot_offsets[counts[VISIBLE]] = int(pairs)
+    counts[PAIRS] = int(wp.min(pairs, wp.int64(2147483647)))
+    counts[OVERFLOW] = 0
+    if pairs > wp.int64(capacity):
+        counts[OVERFLOW] = 1
+        return
+    for rank in range(counts[VISIBLE]):
+        rect = tile_rects[order[rank]]
+        for y in range(rect[1], rect[3]):
+            for x in range(rect[0], rect[2]):
+                t = y * tiles_x + x
+                tile_ranges[t] = tile_ranges[t] + wp.vec2i(0, 1)
+    begin = int(0)
+    for t in range(tile_ranges.shape[0]):
+        size = tile_ranges[t][1]
+        # The end is the cursor of the scatter below.
+        tile_ranges[t] = wp.vec2i(begin, begin)
+        begin += size
+    slot = int(0)
+    for rank in range(counts[VISIBLE]):
+        gaussian = order[rank]
+        rect = tile_rects[gaussian]
+        for y in range(rect[1], rect[3]):
+            for x in range(rect[0], rect[2]):
+                t = y * tiles_x + x
+                span = tile_ranges[t]
+                pair_slots[span[1]] = slot
+                tile_ranges[t] = wp.vec2i(span[0], span[1] + 1)
+                slot_gaussians[slot] = gaussian
+                slot += 1
+
+
+@wp.kernel
+def _depth_keys(
+    tile_rects: wp.array[wp.vec4i],
+    depths: wp.array[float],
+    depth_keys: wp.array[float],
+    order: wp.array[int],
+):
+    i = wp.tid()
+    rect = tile_rects[i]
+    order[i] = i
+    depth_keys[i] = wp.inf
+    if rect[2] > rect[0]:
+        depth_keys[i] = depths[i]
+
+
+@wp.kernel
+def _count_pairs(
+    tile_rects: wp.array[wp.vec4i],
+    order: wp.array[int],
+    count: int,
+    pair_counts: wp.array[int],
+    counts: wp.array[int],
+):
+    rank = wp.tid()
+    pairs = int(0)
+    following = int(0)
+    if rank < count:
+        pairs = _tiles_of(tile_rects[order[rank]])
+    if rank + 1 < count:
+        following = _tiles_of(tile_rects[order[rank + 1]])
+    pair_counts[rank] = pairs
+    # Culled ones are sorted last: exactly one rank is the last visible one, or none is.
+    if pairs > 0 and following == 0:
+        counts[VISIBLE] = rank + 1
+
+
+@wp.kernel
+def _emit_pairs(
+    tile_rects: wp.array[wp.vec4i],
+    order: wp.array[int],
+    slot_offsets: wp.array[int],
+    counts: wp.array[int],
+    tiles_x: int,
+    capacity: int,
+    slot_gaussians: wp.array[int],
+    pair_tiles: wp.array[int],
+    pair_slots: wp.array[int],
+):
+    rank = wp.tid()
+    if rank >= counts[VISIBLE]:
+        return
+    gaussian = order[rank]
+    rect = tile_rects[gaussian]
+    slot = slot_offsets[rank]
+    for y in range(rect[1], rect[3]):
+        for x in range(rect[0], rect[2]):
+            if slot >= 0 and slot < capacity:
+                pair_tiles[slot] = y * tiles_x + x
+                pair_slots[slot] = slot
+                slot_gaussians[slot] = gaussian
+            slot += 1
+
+
+@wp.func
+def _first_not_below(tile: int, pair_tiles: wp.array[int], begin: int, end: int):
+    low = begin
+    high = end
+    while low < high:
+        middle = (low + high) / 2
+        if pair_tiles[middle] < tile:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@wp.kernel
+def _find_ranges(
+    pair_tiles: wp.array[int],
+    slot_offsets: wp.array[int],
+    count: int,
+    capacity: int,
+    tile_ranges: wp.array[wp.vec2i],
+    counts: wp.array[int],
+):
+    t = wp.tid()
+    begin = _first_not_below(t, pair_tiles, 0, capacity)
+    tile_ranges[t] = wp.vec2i(begin, _first_not_below(t + 1, pair_tiles, begin, capacity))
+    if t == 0:
+        pairs = slot_offsets[count]
+        counts[PAIRS] = pairs
+        counts[OVERFLOW] = 0
+        if pairs < 0 or pairs > capacity:
+            counts[OVERFLOW] = 1
+
+
+def bin_splats(
+    tile_rects: wp.array,
+    depths: wp.array,
+    *,
+    count: int,
+    width: int,
+    height: int,
+    out: TileArrays,
+) -> None:
+    """Sort the first ``count`` projected Gaussians by depth and into tiles.
+
+    Args:
+        tile_rects: [>= count] vec4i, see :class:`ggwarp.kernels.project.Splats`.
+        depths: [>= count] metres; equal depths keep the Gaussians' order.
+        count: rows in use.
+        width, height: image size, pixels.
+        out: allocated for this image size and at least ``count`` Gaussians.
+
+    Raises:
+        TileCapacityError: on the CPU, when there are too few slots; ``order`` and the number visible
+            are right then. On CUDA ``counts[2]`` is set instead and the farthest splats are left out.
+        ValueError: ``out`` is too small for ``count`` or made for another image size.
+    """
+    tiles_x, tiles_y = tiles_across(width), tiles_across(height)
+    room, tile_room = out.slot_offsets.shape[0] - 1, out.tile_ranges.shape[0]
+    if room < count or tile_room != tiles_x * tiles_y:
+        raise ValueError(
+            f"tile arrays hold {room} Gaussians and {tile_room} tiles, "
+            f"but {count} and {tiles_x * tiles_y} are needed"
+        )
+    if tile_rects.device.is_cpu:
+        _bin_on_cpu(tile_rects, depths, count, tiles_x, out)
+    else:
+        _bin_in_parallel(tile_rects, depths, count, tiles_x, out)
+
+
+def _bin_on_cpu(tile_rects: wp.array, depths: wp.array, count: int, tiles_x: int, out: TileArrays) -> None:
+    wp.launch(
+        _gather_visible,
+        dim=1,
+        inputs=[tile_rects, depths, count],
+        outputs=[out.depth_keys, out.order, out.counts],
+        device="cpu",
+    )
+    counts = out.counts.numpy()
+    wp.utils.radix_sort_pairs(out.depth_keys, out.order, int(counts[0]))
+    wp.launch(
+        _bin_serial,
+        dim=1,
+        inputs=[tile_rects, out.order, tiles_x, out.capacity],
+        outputs=[out.slot_offsets, out.slot_gaussians, out.pair_slots, out.tile_ranges, out.counts],
+        device="cpu",
+    )
+    if counts[2]:
+        raise TileCapacityError(int(counts[1]), out.capacity)
+
+
+def _bin_in_parallel(
+    tile_rects: wp.array, depths: wp.array, count: int, tiles_x: int, out: TileArrays
+) -> None:
+    device = tile_rects.device
+    tile_count = out.tile_ranges.shape[0]
+    out.counts.zero_()
+    wp.launch(
+        _depth_keys,
+        dim=count,
+        inputs=[tile_rects, depths],
+        outputs=[out.depth_keys, out.order],
+        device=device,
+    )
+    wp.utils.radix_sort_pairs(out.depth_keys, out.order, count)
+    wp.launch(
+        _count_pairs,
+        dim=count + 1,
+        inputs=[tile_rects, out.order, count],
+        outputs=[out.pair_counts, out.counts],
+        device=device,
+    )
+    wp.utils.array_scan(out.pair_counts[: count + 1], out.slot_offsets[: count + 1], inclusive=False)
+    out.pair_tiles.fill_(tile_count)
+    wp.launch(
+        _emit_pairs,
+        dim=count,
+        inputs=[tile_rects, out.order, out.slot_offsets, out.counts, tiles_x, out.capacity],
+        outputs=[out.slot_gaussians, out.pair_tiles, out.pair_slots],
+        device=device,
+    )
+    wp.utils.radix_sort_pairs(out.pair_tiles, out.pair_slots, out.capacity, 0, (tile_count + 1).bit_length())
+    wp.launch(
+        _find_ranges,
+        dim=tile_count,
+        inputs=[out.pair_tiles, out.slot_offsets, count, out.capacity],
+        outputs=[out.tile_ranges, out.counts],
+        device=device,
+    )

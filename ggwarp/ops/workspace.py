@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Arrays that rendering works in: allocated once, used many times."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from ggwarp.kernels.math import vec16
+from ggwarp.kernels.project import SlotGradients, Splats
+from ggwarp.kernels.tiles import TileArrays, tiles_across
+
+
+def _views(features: wp.array) -> tuple[wp.array, wp.array | None]:
+    """View [n, C] rows as a vec4 and, if C is 20, a vec16: one load each instead of C."""
+    n, channels = features.shape
+    if channels not in (4, 20):
+        raise ValueError(f"{channels} channels, but rendering has 4 (colour, depth) or 20 (and identity)")
+
+    def view(dtype: Any, offset: int) -> wp.array:
+        pointer = (features.ptr or 0) + 4 * offset
+        return wp.array(ptr=pointer, dtype=dtype, shape=n, strides=(4 * channels,), device=features.device)
+
+    return view(wp.vec4, 0), view(vec16, 4) if channels == 20 else None
+
+
+def allocate_splats(count: int, channels: int, *, device: Any) -> Splats:
+    """Allocate the projection's output for ``count`` Gaussians and 4 or 20 channels."""
+    features = wp.empty((max(count, 1), channels), dtype=float, device=device)
+    n = features.shape[0]
+    return Splats(
+        wp.empty(n, dtype=wp.vec2, device=device),
+        wp.empty(n, dtype=wp.vec4, device=device),
+        wp.empty(n, dtype=float, device=device),
+        wp.zeros(n, dtype=wp.vec4i, device=device),
+        features,
+        *_views(features),
+    )
+
+
+def allocate_slot_gradients(slots: int, channels: int, *, device: Any) -> SlotGradients:
+    """Allocate the composite adjoint's output for ``slots`` slots and 4 or 20 channels."""
+    d_features = wp.empty((max(slots, 1), channels), dtype=float, device=device)
+    n = d_features.shape[0]
+    return SlotGradients(
+        wp.empty(n, dtype=wp.vec2, device=device),
+        wp.empty(n, dtype=wp.vec4, device=device),
+        d_features,
+        *_views(d_features),
+    )
+
+
+def allocate_tiles(count: int, slots: int, *, width: int, height: int, device: Any) -> TileArrays:
+    """Allocate the binning's arrays for ``count`` Gaussians, ``slots`` slots and an image's tiles."""
+    n, slots = max(count, 1), max(slots, 1)
+
+    def ints(size: int) -> wp.array:
+        return wp.zeros(size, dtype=int, device=device)
+
+    return TileArrays(
+        order=ints(2 * n),
+        slot_offsets=ints(n + 1),
+        slot_gaussians=ints(slots),
+        pair_slots=ints(2 * slots),
+        tile_ranges=wp.zeros(tiles_across(width) * tiles_across(height), dtype=wp.vec2i, device=device),
+        counts=ints(3),
+        depth_keys=wp.empty(2 * n, dtype=float, device=device),
+        pair_counts=ints(n + 1),
+        pair_tiles=ints(2 * slots),
+    )
