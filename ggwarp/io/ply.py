@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Gaussian maps as PLY files in the 3DGS layout, which viewers know.
+
+float32 ``x y z nx ny nz f_dc_0..2 opacity scale_0..2 rot_0..3`` (opacity a logit, scales logarithms,
+rotations w first), then, where there are any, int32 ``object_id`` and float32 ``id_0..15``, which
+viewers skip. Binary, little-endian.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ggwarp.io.atomic import atomic_write
+from ggwarp.types import Float32
+
+IDENTITY_SIZE = 16
+
+_GROUPS = {
+    "means": ("x", "y", "z"),
+    "colours": ("f_dc_0", "f_dc_1", "f_dc_2"),
+    "opacity_logits": ("opacity",),
+    "log_scales": ("scale_0", "scale_1", "scale_2"),
+    "quats": ("rot_0", "rot_1", "rot_2", "rot_3"),
+}
+_NORMAL = ("nx", "ny", "nz")
+_IDENTITY = tuple(f"id_{i}" for i in range(IDENTITY_SIZE))
+_NAMES = {"<f4": "float", "<i4": "int"}
+_TYPES = {
+    "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
+    "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4",
+    "uint32": "u4", "float32": "f4", "float64": "f8",
+}  # fmt: skip
+_ORDER = {"binary_little_endian": "<", "binary_big_endian": ">"}
+_HEADER_LIMIT = 1 << 20
+
+
+class PlyError(ValueError):
+    """A PLY file cannot be used: one line with the file, what is wrong and the remedy."""
+
+
+@dataclass(frozen=True)
+class PlyGaussians:
+    """The Gaussians of a PLY file.
+
+    Attributes:
+        means: [n, 3] float32 positions, world frame, metres.
+        quats: [n, 4] float32 rotations, w first; as stored, not necessarily unit.
+        log_scales: [n, 3] float32 logarithms of the standard deviations in metres.
+        opacity_logits: [n] float32.
+        colours: [n, 3] float32 spherical-harmonics coefficients of degree 0.
+        object_ids: [n] int32, 0 = none; None where the file has none.
+        identities: [n, 16] float32; None where the file has none.
+    """
+
+    means: Float32
+    quats: Float32
+    log_scales: Float32
+    opacity_logits: Float32
+    colours: Float32
+    object_ids: NDArray[np.int32] | None = None
+    identities: Float32 | None = None
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+
+def write_ply(
+    path: str | Path,
+    means: ArrayLike,
+    quats: ArrayLike,
+    log_scales: ArrayLike,
+    opacity_logits: ArrayLike,
+    colours: ArrayLike,
+    object_ids: ArrayLike | None = None,
+    identities: ArrayLike | None = None,
+) -> None:
+    """Write Gaussians (see :class:`PlyGaussians`); nothing is left half-written.
+
+    Rotations are normalised on the way: not every viewer does.
+
+    Raises:
+        OSError: the file cannot be written.
+        ValueError: the arrays' shapes do not fit together.
+    """
+    quats = np.asarray(quats, np.float64)
+    length = np.linalg.norm(quats, axis=1, keepdims=True)
+    unit = np.divide(quats, length, out=np.tile([1.0, 0.0, 0.0, 0.0], (len(quats), 1)), where=length > 0.0)
+    columns = {"means": means, "colours": colours, "opacity_logits": opacity_logits}
+    columns |= {"log_scales": log_scales, "quats": unit}
+    fields = [(name, "<f4") for name in (*_GROUPS["means"], *_NORMAL)]
+    fields += [(name, "<f4") for group in list(_GROUPS)[1:] for name in _GROUPS[group]]
+    if object_ids is not None:
+        fields.append(("object_id", "<i4"))
+    if identities is not None:
+        fields += [(name, "<f4") for name in _IDENTITY]
+    count = len(quats)
+    table = np.zeros(count, np.dtype(fields))
+    for group, values in columns.items():
+        _fill(table, _GROUPS[group], values, group)
+    if object_ids is not None:
+        _fill(table, ("object_id",), object_ids, "object_ids")
+    if identities is not None:
+        _fill(table, _IDENTITY, identities, "identities")
+    lines = ["ply", "format binary_little_endian 1.0", "comment ggwarp", f"element vertex {count}"]
+    lines += [f"property {_NAMES[kind]} {name}" for name, kind in fields] + ["end_header\n"]
+    with atomic_write(path) as file:
+        file.write("\n".join(lines).encode())
+        file.write(table.tobytes())
+
+
+def read_ply(path: str | Path) -> PlyGaussians:
+    """Read Gaussians written by us or by any program that keeps the 3DGS layout.
+
+    Higher spherical harmonics (``f_rest_*``), normals and unknown properties are ignored.
+
+    Raises:
+        OSError: the file cannot be read.
+        PlyError: it is not a binary PLY, a property is missing, or it is truncated.
+    """
+    with open(path, "rb") as file:
+        count, dtype = _read_header(file, path)
+        missing = [name for group in _GROUPS.values() for name in group if name not in (dtype.names or ())]
+        if missing:
+            raise PlyError(
+                f"{path}: has no {', '.join(missing)}; it is not a Gaussian map in the 3DGS layout"
+            )
+        need, have = count * dtype.itemsize, os.fstat(file.fileno()).st_size - file.tell()
+        if have < need:
+            raise PlyError(f"{path}: truncated: {count} Gaussians take {need} bytes, {have} are left")
+        table = np.frombuffer(file.read(need), dtype, count)
+    names = dtype.names or ()
+    groups = {group: _gather(table, properties) for group, properties in _GROUPS.items()}
+    return PlyGaussians(
+        means=groups["means"],
+        quats=groups["quats"],
+        log_scales=groups["log_scales"],
+        opacity_logits=groups["opacity_logits"][:, 0],
+        colours=groups["colours"],
+        object_ids=table["object_id"].astype(np.int32) if "object_id" in names else None,
+        identities=_gather(table, _IDENTITY) if set(_IDENTITY) <= set(names) else None,
+    )
+
+
+def _fill(table: NDArray, names: tuple[str, ...], values: ArrayLike, group: str) -> None:
+    values = np.asarray(values)
+    if values.size != len(table) * len(names):
+        raise ValueError(f"{group} has shape {values.shape}; {len(table)} Gaussians need {len(names)} each")
+    for name, column in zip(names, values.reshape(len(table), len(names)).T, strict=True):
+        table[name] = column
+
+
+def _gather(table: NDArray, names: tuple[str, ...]) -> Float32:
+    return np.stack([table[name].astype(np.float32) for name in names], axis=1)
+
+
+def _read_header(file: BinaryIO, path: str | Path) -> tuple[int, np.dtype]:
+    """Return the number of vertices and their record; leaves ``file`` at the first one."""
+    if file.readline(16).rstrip() != b"ply":
+        raise PlyError(f"{path}: is not a PLY file")
+    order, count, fields, element = "", -1, [], ""
+    while file.tell() < _HEADER_LIMIT:
+        words = file.readline(4096).decode("ascii", "replace").split()
+        match words:
+            case ["end_header"]:
+                if not order or count < 0:
+                    break
+                return count, np.dtype(fields)
+            case ["format", kind, _]:
+                if kind not in _ORDER:
+                    raise PlyError(f"{path}: format {kind}; only binary files are read: export it as binary")
+                order = _ORDER[kind]
+            case ["element", element, number]:
+                if element == "vertex" and number.isdigit():
+                    count = int(number)
+                elif count < 0:
+                    raise PlyError(f"{path}: element {element} comes before the vertices: not a Gaussian map")
+            case ["property", kind, name] if element == "vertex":
+                if kind not in _TYPES:
+                    raise PlyError(f"{path}: property {name} has the unknown type {kind}")
+                if name in dict(fields):
+                    raise PlyError(f"{path}: property {name} occurs twice")
+                fields.append((name, order + _TYPES[kind]))
+            case ["property", "list", *_] if element == "vertex":
+                raise PlyError(f"{path}: its vertices hold lists: not a Gaussian map")
+            case ["property" | "comment" | "obj_info", *_]:
+                pass
+            case _:
+                break
+    raise PlyError(f"{path}: its PLY header is malformed or cut short")
