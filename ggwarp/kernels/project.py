@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gaussians to the screen, and back: EWA projection and its adjoint.
+"""Gaussians to the screen: EWA projection.
 
 A Gaussian of mean p, rotation R and scale S seen by the camera ``T_cw`` becomes an ellipse with
 covariance J A S S^T A^T J^T + 0.3 I (px^2), A = R_cw R, where J is the Jacobian of the pinhole at
@@ -9,7 +9,6 @@ the mean (Zwicker 2001; Kerbl 2023). Outside 1.3 times the field of view J is fr
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import warp as wp
@@ -17,10 +16,8 @@ import warp as wp
 from ggwarp.kernels.launch import launch_split
 from ggwarp.kernels.math import (
     quat_to_matrix,
-    quat_to_matrix_adjoint,
     rotation_of,
     transform_point,
-    vec6,
     vec16,
 )
 
@@ -30,7 +27,6 @@ TILE = wp.constant(16)
 NEAR = wp.constant(0.05)
 LOW_PASS = wp.constant(0.3)
 SH_C0 = wp.constant(0.28209479177387814)
-_POSE_BLOCK = wp.constant(256)
 
 
 @wp.struct
@@ -76,26 +72,8 @@ class Splats:
     identities: wp.array | None
 
 
-@dataclass(frozen=True)
-class SlotGradients:
-    """What the composite's adjoint writes, a row per slot (see :mod:`ggwarp.kernels.tiles`).
-
-    Attributes:
-        d_means2d: [slots] vec2.
-        d_conics: [slots] vec4 (a, b, c, opacity).
-        d_features: [slots, C].
-        heads, identities: views of ``d_features`` as in :class:`Splats`.
-    """
-
-    d_means2d: wp.array
-    d_conics: wp.array
-    d_features: wp.array
-    heads: wp.array
-    identities: wp.array | None
-
-
 @wp.func
-def _frozen_slope(slope: float, focal: float, centre: float, size: int):
+def frozen_slope(slope: float, focal: float, centre: float, size: int):
     """Clamp x/z to 1.3 times the view, measured from the principal point."""
     margin = 0.15 * float(size) / focal
     low = -(centre + 0.5) / focal - margin
@@ -104,19 +82,19 @@ def _frozen_slope(slope: float, focal: float, centre: float, size: int):
 
 
 @wp.func
-def _jacobian_row_x(p: wp.vec3, camera: CameraIntrinsics):
-    slope = _frozen_slope(p[0] / p[2], camera.fx, camera.cx, camera.width)
+def jacobian_row_x(p: wp.vec3, camera: CameraIntrinsics):
+    slope = frozen_slope(p[0] / p[2], camera.fx, camera.cx, camera.width)
     return wp.vec3(camera.fx / p[2], 0.0, -camera.fx * slope / p[2])
 
 
 @wp.func
-def _jacobian_row_y(p: wp.vec3, camera: CameraIntrinsics):
-    slope = _frozen_slope(p[1] / p[2], camera.fy, camera.cy, camera.height)
+def jacobian_row_y(p: wp.vec3, camera: CameraIntrinsics):
+    slope = frozen_slope(p[1] / p[2], camera.fy, camera.cy, camera.height)
     return wp.vec3(0.0, camera.fy / p[2], -camera.fy * slope / p[2])
 
 
 @wp.func
-def _scaled_columns(m: wp.mat33, s: wp.vec3):
+def scaled_columns(m: wp.mat33, s: wp.vec3):
     return wp.mat33(
         m[0, 0] * s[0], m[0, 1] * s[1], m[0, 2] * s[2],
         m[1, 0] * s[0], m[1, 1] * s[1], m[1, 2] * s[2],
@@ -125,12 +103,12 @@ def _scaled_columns(m: wp.mat33, s: wp.vec3):
 
 
 @wp.func
-def _exp3(v: wp.vec3):
+def exp_each(v: wp.vec3):
     return wp.vec3(wp.exp(v[0]), wp.exp(v[1]), wp.exp(v[2]))
 
 
 @wp.func
-def _conic(w0: wp.vec3, w1: wp.vec3):
+def conic_of(w0: wp.vec3, w1: wp.vec3):
     """Inverse of W W^T + 0.3 I (a, b, c) for the rows of W, and that matrix's two variances."""
     p = wp.dot(w0, w0)
     q = wp.dot(w1, w1)
@@ -184,8 +162,8 @@ def _project(
     v = camera.fy * p[1] / p[2] + camera.cy
     norm2 = wp.dot(quats[i], quats[i])
     rotation = rotation_of(T_cw[0]) * quat_to_matrix(wp.normalize(quats[i]))
-    m = wp.transpose(_scaled_columns(rotation, _exp3(log_scales[i])))
-    conic, xx, yy = _conic(m * _jacobian_row_x(p, camera), m * _jacobian_row_y(p, camera))
+    m = wp.transpose(scaled_columns(rotation, exp_each(log_scales[i])))
+    conic, xx, yy = conic_of(m * jacobian_row_x(p, camera), m * jacobian_row_y(p, camera))
     # alpha >= 1/255 <=> the squared Mahalanobis distance is at most 2 ln(255 opacity).
     reach = 2.0 * wp.log(255.0 * opacity)
     colour = colours[i]
@@ -212,139 +190,6 @@ def _project(
     )
     if identities:
         feature_identities[i] = identities[i]
-
-
-@wp.func
-def _colour_gradient(colour: float, gradient: float):
-    if 0.5 + SH_C0 * colour < 0.0:
-        return 0.0
-    return SH_C0 * gradient
-
-
-@wp.func
-def _slope_gradient(p: float, z: float, d_row_z: float, focal: float, centre: float, size: int):
-    """Gradient through the row (f / z, -f slope / z)'s second entry: (d p, d z)."""
-    slope = p / z
-    frozen = _frozen_slope(slope, focal, centre, size)
-    d_z = focal * frozen / (z * z) * d_row_z
-    d_p = float(0.0)
-    if frozen == slope:
-        d_p = -focal / (z * z) * d_row_z
-        d_z -= d_p * slope
-    return d_p, d_z
-
-
-@wp.kernel
-def _project_adjoint(
-    offset: int,
-    means: wp.array[wp.vec3],
-    quats: wp.array[wp.vec4],
-    log_scales: wp.array[wp.vec3],
-    opacity_logits: wp.array[float],
-    colours: wp.array[wp.vec3],
-    T_cw: wp.array[wp.mat44],
-    camera: CameraIntrinsics,
-    order: wp.array[int],
-    slot_offsets: wp.array[int],
-    counts: wp.array[int],
-    slot_d_means2d: wp.array[wp.vec2],
-    slot_d_conics: wp.array[wp.vec4],
-    slot_heads: wp.array[wp.vec4],
-    slot_identities: wp.array[vec16],
-    d_means: wp.array[wp.vec3],
-    d_quats: wp.array[wp.vec4],
-    d_log_scales: wp.array[wp.vec3],
-    d_opacity_logits: wp.array[float],
-    d_colours: wp.array[wp.vec3],
-    d_identities: wp.array[vec16],
-    rank_d_poses: wp.array[vec6],
-):
-    rank = offset + wp.tid()
-    if rank >= counts[0]:
-        return
-    i = order[rank]
-    # Slots that did not fit (overflow) were never written.
-    begin = wp.clamp(slot_offsets[rank], 0, slot_d_means2d.shape[0])
-    end = wp.clamp(slot_offsets[rank + 1], begin, slot_d_means2d.shape[0])
-    d_uv = wp.vec2(0.0)
-    d_conic = wp.vec4(0.0)
-    d_head = wp.vec4(0.0)
-    for slot in range(begin, end):
-        d_uv += slot_d_means2d[slot]
-        d_conic += slot_d_conics[slot]
-        d_head += slot_heads[slot]
-    if d_identities:
-        d_o = vec16()
-        for slot in range(begin, end):
-            d_o += slot_identities[slot]
-        d_identities[i] = d_o
-    colour = colours[i]
-    d_colours[i] = wp.vec3(
-        _colour_gradient(colour[0], d_head[0]),
-        _colour_gradient(colour[1], d_head[1]),
-        _colour_gradient(colour[2], d_head[2]),
-    )
-    opacity = 1.0 / (1.0 + wp.exp(-opacity_logits[i]))
-    d_opacity_logits[i] = d_conic[3] * opacity * (1.0 - opacity)
-
-    # Forward again: cheaper than storing it.
-    p = transform_point(T_cw[0], means[i])
-    R_cw = rotation_of(T_cw[0])
-    q = wp.normalize(quats[i])
-    s = _exp3(log_scales[i])
-    m = _scaled_columns(R_cw * quat_to_matrix(q), s)
-    j0 = _jacobian_row_x(p, camera)
-    j1 = _jacobian_row_y(p, camera)
-    w0 = wp.transpose(m) * j0
-    w1 = wp.transpose(m) * j1
-    conic, _xx, _yy = _conic(w0, w1)
-
-    # d covariance = -Q G Q for the conic Q and its symmetric gradient G.
-    conic2 = wp.mat22(conic[0], conic[1], conic[1], conic[2])
-    g = conic2 * wp.mat22(d_conic[0], 0.5 * d_conic[1], 0.5 * d_conic[1], d_conic[2]) * conic2
-    d_w0 = -2.0 * (g[0, 0] * w0 + g[0, 1] * w1)
-    d_w1 = -2.0 * (g[1, 0] * w0 + g[1, 1] * w1)
-    d_m = wp.outer(j0, d_w0) + wp.outer(j1, d_w1)
-    d_j0 = m * d_w0
-    d_j1 = m * d_w1
-    d_log_scales[i] = wp.vec3(
-        wp.dot(wp.transpose(m)[0], wp.transpose(d_m)[0]),
-        wp.dot(wp.transpose(m)[1], wp.transpose(d_m)[1]),
-        wp.dot(wp.transpose(m)[2], wp.transpose(d_m)[2]),
-    )
-    d_q = quat_to_matrix_adjoint(q, wp.transpose(R_cw) * _scaled_columns(d_m, s))
-    d_quats[i] = (d_q - q * wp.dot(q, d_q)) / wp.length(quats[i])
-
-    z = p[2]
-    d_x, d_zx = _slope_gradient(p[0], z, d_j0[2], camera.fx, camera.cx, camera.width)
-    d_y, d_zy = _slope_gradient(p[1], z, d_j1[2], camera.fy, camera.cy, camera.height)
-    d_x += camera.fx / z * d_uv[0]
-    d_y += camera.fy / z * d_uv[1]
-    d_z = d_head[3] + d_zx + d_zy
-    d_z -= (camera.fx * (p[0] * d_uv[0] + d_j0[0]) + camera.fy * (p[1] * d_uv[1] + d_j1[1])) / (z * z)
-    d_p = wp.vec3(d_x, d_y, d_z)
-    d_means[i] = wp.transpose(R_cw) * d_p
-    if rank_d_poses:
-        # T_cw <- Exp(v, w) T_cw moves p by v + w x p and turns the columns of m by w.
-        d_w = wp.cross(p, d_p) + wp.cross(d_j0, j0) + wp.cross(d_j1, j1)
-        rank_d_poses[rank] = vec6(d_p[0], d_p[1], d_p[2], d_w[0], d_w[1], d_w[2])
-
-
-@wp.kernel
-def _sum_blocks(
-    values: wp.array[vec6],
-    limit: wp.array[int],
-    count: int,
-    sums: wp.array[vec6],
-):
-    block = wp.tid()
-    end = wp.min((block + 1) * _POSE_BLOCK, count)
-    if limit:
-        end = wp.min(end, limit[0])
-    total = vec6()
-    for k in range(block * _POSE_BLOCK, end):
-        total += values[k]
-    sums[block] = total
 
 
 def project(
@@ -384,75 +229,3 @@ def project(
         outputs=[out.means2d, out.conics, out.depths, out.tile_rects, out.heads, out.identities],
         device=means.device,
     )
-
-
-def project_adjoint(
-    means: wp.array,
-    quats: wp.array,
-    log_scales: wp.array,
-    opacity_logits: wp.array,
-    colours: wp.array,
-    *,
-    T_cw: wp.array,
-    camera: CameraIntrinsics,
-    count: int,
-    order: wp.array,
-    slot_offsets: wp.array,
-    counts: wp.array,
-    slots: SlotGradients,
-    d_means: wp.array,
-    d_quats: wp.array,
-    d_log_scales: wp.array,
-    d_opacity_logits: wp.array,
-    d_colours: wp.array,
-    d_identities: wp.array | None = None,
-    d_pose_scratch: tuple[wp.array, ...] = (),
-) -> None:
-    """Chain the composite's gradients to the visible Gaussians and, on request, to the camera.
-
-    Rows of Gaussians that are not visible are left as they are.
-
-    Args:
-        means, quats, log_scales, opacity_logits, colours, T_cw, camera, count: as given to
-            :func:`project`.
-        order, slot_offsets, counts: of :class:`ggwarp.kernels.tiles.TileArrays`.
-        slots: gradients per slot.
-        d_means, d_quats, d_log_scales, d_opacity_logits, d_colours: outputs, like the parameters.
-        d_identities: output [>= count] vec16; None skips it.
-        d_pose_scratch: vec6 arrays of :func:`pose_levels` lengths; the last, of one row, receives
-            the gradient (translation, rotation) of T_cw <- Exp(tau) T_cw. Empty: no pose gradient.
-    """
-    device = means.device
-    ranks = min(count, int(counts.numpy()[0])) if device.is_cpu else count
-    launch_split(
-        _project_adjoint,
-        ranks,
-        inputs=[
-            means, quats, log_scales, opacity_logits, colours, T_cw, camera,
-            order, slot_offsets, counts,
-            slots.d_means2d, slots.d_conics, slots.heads, slots.identities,
-        ],
-        outputs=[
-            d_means, d_quats, d_log_scales, d_opacity_logits, d_colours, d_identities,
-            d_pose_scratch[0] if d_pose_scratch else None,
-        ],
-        device=device,
-    )  # fmt: skip
-    limit = counts
-    for values, sums in pairwise(d_pose_scratch):
-        wp.launch(
-            _sum_blocks,
-            dim=sums.shape[0],
-            inputs=[values, limit, values.shape[0]],
-            outputs=[sums],
-            device=device,
-        )
-        limit = None
-
-
-def pose_levels(capacity: int) -> list[int]:
-    """Return the lengths of ``d_pose_scratch`` for ``capacity`` Gaussians: block sums down to one."""
-    lengths = [max(capacity, 1)]
-    while len(lengths) == 1 or lengths[-1] > 1:
-        lengths.append(-(-lengths[-1] // int(_POSE_BLOCK)))
-    return lengths

@@ -8,7 +8,8 @@ from typing import Any
 import warp as wp
 
 from ggwarp.kernels.math import vec16
-from ggwarp.kernels.project import SlotGradients, Splats
+from ggwarp.kernels.project import Splats
+from ggwarp.kernels.project_adjoint import SlotGradients
 from ggwarp.kernels.tiles import TileArrays, tiles_across
 
 

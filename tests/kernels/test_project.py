@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from ggwarp import lie
 from ggwarp.kernels.math import vec6, vec16
-from ggwarp.kernels.project import intrinsics_of, pose_levels, project, project_adjoint
+from ggwarp.kernels.project import intrinsics_of, project
+from ggwarp.kernels.project_adjoint import pose_levels, project_adjoint
 from ggwarp.kernels.tiles import bin_splats
 from ggwarp.ops.reference import render as oracle
 from ggwarp.ops.workspace import allocate_slot_gradients, allocate_splats, allocate_tiles
