@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compare the finished map with every frame of the run.
+
+Two protocols from one pass: over all frames, as the papers do, and over held-out frames, those
+never used for mapping. Frames are rendered at their estimated pose; a lost frame has a predicted
+pose, is rendered there and counts like any other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ggwarp.evaluation import image
+from ggwarp.evaluation.objects import ObjectScore
+from ggwarp.types import Float32, Float64, Frame, Rendered
+
+_MEASURES = ("psnr", "ssim", "lpips", "depth_l1_cm")
+
+
+@dataclass(frozen=True)
+class FrameScore:
+    """One frame's view of the map against its picture; None = not measured.
+
+    Attributes:
+        index: the frame's index in the sequence.
+        held_out: whether the frame was never used for mapping.
+        psnr: dB. ssim, lpips: see :mod:`ggwarp.evaluation.image`. depth_l1_cm: centimetres.
+    """
+
+    index: int
+    held_out: bool
+    psnr: float | None
+    ssim: float | None
+    lpips: float | None
+    depth_l1_cm: float | None
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Means over one protocol's frames; None = not measured.
+
+    Attributes:
+        frames: how many frames the means are over.
+        psnr, ssim, lpips, depth_l1_cm: means of the frames' own.
+        miou, pixel_accuracy: of object ids, accumulated over the frames' pixels.
+    """
+
+    frames: int = 0
+    psnr: float | None = None
+    ssim: float | None = None
+    lpips: float | None = None
+    depth_l1_cm: float | None = None
+    miou: float | None = None
+    pixel_accuracy: float | None = None
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Both protocols and what they were computed from."""
+
+    all_frames: Scores = field(default_factory=Scores)
+    held_out: Scores = field(default_factory=Scores)
+    per_frame: list[FrameScore] = field(default_factory=list)
+
+
+def evaluate(
+    frames: Iterable[Frame],
+    poses: dict[int, Float64],
+    render: Callable[[Float64], Rendered],
+    *,
+    mapped: Iterable[int],
+    lpips: image.Lpips | None = None,
+    on_view: Callable[[Frame, Rendered, FrameScore], None] | None = None,
+) -> Evaluation:
+    """Render every frame at its estimated pose and compare.
+
+    Args:
+        frames: at the image size that ``render`` gives.
+        poses: index -> [4, 4] estimated camera-to-world pose; frames without one are passed over.
+        render: the map's view from a camera-to-world pose.
+        mapped: indices of frames ever used for mapping.
+        lpips: see :func:`ggwarp.evaluation.image.open_lpips`.
+        on_view: called with each frame, its view and its score.
+    """
+    used = set(mapped)
+    scores: list[FrameScore] = []
+    objects = {False: ObjectScore(), True: ObjectScore()}
+    for frame in frames:
+        if frame.index not in poses:
+            continue
+        view = render(poses[frame.index])
+        score = _score(frame, view, frame.index not in used, lpips)
+        scores.append(score)
+        if frame.mask is not None and view.objects is not None:
+            objects[score.held_out].add(view.objects, frame.mask)
+        if on_view is not None:
+            on_view(frame, view, score)
+    held_out = [s for s in scores if s.held_out]
+    return Evaluation(
+        all_frames=_summary(scores, objects[False] + objects[True]),
+        held_out=_summary(held_out, objects[True]),
+        per_frame=scores,
+    )
+
+
+def _score(frame: Frame, view: Rendered, held_out: bool, lpips: image.Lpips | None) -> FrameScore:
+    reference: Float32 = np.divide(frame.rgb, 255.0, dtype=np.float32)
+    valid = np.ones(frame.rgb.shape[:2], bool) if frame.depth is None else frame.depth > 0.0
+    error = None if frame.depth is None else image.depth_l1(view.depth, frame.depth)
+    shown = valid[..., None]
+    return FrameScore(
+        index=frame.index,
+        held_out=held_out,
+        psnr=image.psnr(view.rgb, reference, valid),
+        ssim=image.ssim(view.rgb, reference, valid),
+        lpips=lpips(view.rgb * shown, reference * shown) if lpips is not None and valid.any() else None,
+        depth_l1_cm=None if error is None else 100.0 * error,
+    )
+
+
+def _summary(scores: list[FrameScore], objects: ObjectScore) -> Scores:
+    means: dict[str, float | None] = {}
+    for name in _MEASURES:
+        values = [v for v in (getattr(s, name) for s in scores) if v is not None]
+        means[name] = float(np.mean(values)) if values else None
+    return Scores(frames=len(scores), miou=objects.mean_iou(), pixel_accuracy=objects.accuracy(), **means)

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How close a rendered image is to the photograph: PSNR, SSIM, LPIPS, depth L1.
+
+As in the papers, only pixels with a depth reading count: PSNR and depth L1 leave the others
+out, SSIM and LPIPS see both images with those pixels set to black.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import logging
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from skimage.metrics import structural_similarity
+
+from ggwarp.types import Float32
+
+_log = logging.getLogger(__name__)
+
+_SSIM_WINDOW = 11  # pixels: what scikit-image gives a Gaussian of sigma 1.5
+
+Bools = NDArray[np.bool_]
+Lpips = Callable[[Float32, Float32], float]
+
+
+def psnr(image: Float32, reference: Float32, valid: Bools) -> float | None:
+    """Return the peak signal-to-noise ratio over ``valid`` pixels, dB.
+
+    Args:
+        image, reference: [h, w, 3] in 0..1.
+        valid: [h, w].
+
+    Returns:
+        dB; infinity for equal images, None when no pixel is valid.
+    """
+    if not valid.any():
+        return None
+    error = float(np.mean((image[valid].astype(np.float64) - reference[valid]) ** 2))
+    return float("inf") if error == 0.0 else -10.0 * float(np.log10(error))
+
+
+def ssim(image: Float32, reference: Float32, valid: Bools) -> float | None:
+    """Return the structural similarity of the two images, black outside ``valid``.
+
+    Gaussian window of 11 x 11 pixels and sigma 1.5, data range 1, averaged over channels and over the
+    pixels whose window lies inside the image (Wang et al., 2004).
+
+    Args:
+        image, reference: [h, w, 3] in 0..1, at least 11 x 11 pixels.
+        valid: [h, w].
+
+    Returns:
+        In -1..1; None when no pixel is valid or the image is smaller than the window.
+    """
+    if not valid.any() or min(valid.shape) < _SSIM_WINDOW:
+        return None
+    shown = valid[..., None]
+    similarity: Any = structural_similarity(
+        image * shown,
+        reference * shown,
+        data_range=1.0,
+        channel_axis=2,
+        gaussian_weights=True,
+        sigma=1.5,
+        use_sample_covariance=False,
+    )
+    return float(similarity)
+
+
+def depth_l1(depth: Float32, reference: Float32) -> float | None:
+    """Return the mean absolute depth error where ``reference`` [h, w] has a reading, metres."""
+    valid = reference > 0.0
+    if not valid.any():
+        return None
+    return float(np.mean(np.abs(depth[valid] - reference[valid]), dtype=np.float64))
+
+
+def open_lpips() -> Lpips | None:
+    """Return LPIPS (AlexNet) if the package and its weights are on this machine, else None.
+
+    Nothing is ever downloaded; one line of the log says what is missing.
+
+    Returns:
+        A function of two [h, w, 3] images in 0..1, lower is closer.
+    """
+    if importlib.util.find_spec("lpips") is None:
+        _log.info("LPIPS is not measured: pip install 'ggwarp[lpips]' adds it")
+        return None
+    import torch
+
+    checkpoints = Path(torch.hub.get_dir()) / "checkpoints"
+    if not list(checkpoints.glob("alexnet-*.pth")):
+        _log.info("LPIPS is not measured: AlexNet's weights are not in %s", checkpoints)
+        return None
+    import lpips  # pyright: ignore[reportMissingImports]
+
+    network = lpips.LPIPS(net="alex", verbose=False).eval()
+
+    def distance(image: Float32, reference: Float32) -> float:
+        batches = [torch.from_numpy(i.transpose(2, 0, 1).copy())[None] for i in (image, reference)]
+        with torch.no_grad():
+            return float(network(*batches, normalize=True))
+
+    return distance
