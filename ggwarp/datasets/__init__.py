@@ -60,15 +60,15 @@ def open_dataset(seq: str, *, data_root: Path, masks: Masks = None) -> Dataset:
     """
     if seq in BUILT_IN:
         return _built_in(masks)
-    _load_kinds()
+    kinds = _kinds()
     candidates = _candidates(seq, Path(data_root))
     folders = [path for path in candidates if path.is_dir()]
     for path in folders:
-        for kind in KINDS:
+        for kind in kinds:
             if kind.recognises(path):
                 return kind.open(path, masks)
     if folders:
-        layouts = "; ".join(f"{kind.name}: {kind.layout}" for kind in KINDS)
+        layouts = "; ".join(f"{kind.name}: {kind.layout}" for kind in kinds)
         raise DatasetError(f"{folders[0]}: holds no sequence that is recognised ({layouts})")
     files = [path for path in candidates if path.is_file()]
     if files:
@@ -81,10 +81,10 @@ def open_dataset(seq: str, *, data_root: Path, masks: Masks = None) -> Dataset:
     )
 
 
-def _load_kinds() -> None:
-    """Register the kinds, the more particular first."""
-    for kind in ("replica", "tum", "folder"):
-        importlib.import_module(f"ggwarp.datasets.{kind}")
+def _kinds() -> list[Kind]:
+    """Return the kinds in the order they are tried: the more particular first."""
+    own = [importlib.import_module(f"ggwarp.datasets.{name}").KIND for name in ("replica", "tum", "folder")]
+    return [*KINDS, *own]
 
 
 def _candidates(seq: str, root: Path) -> list[Path]:

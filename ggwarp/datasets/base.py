@@ -90,7 +90,7 @@ class Kind:
 
 
 KINDS: list[Kind] = []
-"""The kinds known, in the order they are tried: the more particular first."""
+"""The kinds that others have registered; they are tried before the package's own."""
 
 
 def register(kind: Kind) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ggwarp.datasets.base import DatasetError, Kind, Masks, register
+from ggwarp.datasets.base import DatasetError, Kind, Masks
 from ggwarp.datasets.calibration import CAMERA_FILES, find_camera_file, read_calibration
 from ggwarp.datasets.images import image_size
 from ggwarp.datasets.poses import read_matrices, read_matrix
@@ -66,4 +66,4 @@ def _poses(path: Path, colour: list[Path]) -> list[Float64 | None]:
     return [read_matrix(file) if file else None for file in files]
 
 
-register(Kind("folder", "color/, rgb/ or images/ and depth/", recognises, open_sequence))
+KIND = Kind("folder", "color/, rgb/ or images/ and depth/", recognises, open_sequence)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 from pathlib import Path
 
-from ggwarp.datasets.base import DatasetError, Kind, Masks, register
+from ggwarp.datasets.base import DatasetError, Kind, Masks
 from ggwarp.datasets.calibration import find_camera_file, read_calibration
 from ggwarp.datasets.images import image_size
 from ggwarp.datasets.poses import read_matrices
@@ -57,4 +57,4 @@ def open_sequence(path: Path, masks: Masks = None) -> FileSequence:
     return FileSequence(path, "replica", entries, calibration, masks=masks)
 
 
-register(Kind("replica", "results/ (or images/ and depth_images/)", recognises, open_sequence))
+KIND = Kind("replica", "results/ (or images/ and depth_images/)", recognises, open_sequence)

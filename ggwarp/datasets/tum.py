@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ggwarp.datasets.base import DatasetError, Kind, Masks, register
+from ggwarp.datasets.base import DatasetError, Kind, Masks
 from ggwarp.datasets.calibration import CAMERA_FILES, Calibration, find_camera_file, read_calibration
 from ggwarp.datasets.images import image_size
 from ggwarp.datasets.poses import read_stamped
@@ -132,4 +132,4 @@ def _calibration(path: Path, entries: list[Entry]) -> Calibration:
     return _CAMERAS[f"freiburg{match[1]}"]
 
 
-register(Kind("tum", "rgb.txt and depth.txt", recognises, open_sequence))
+KIND = Kind("tum", "rgb.txt and depth.txt", recognises, open_sequence)

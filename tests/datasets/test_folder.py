@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Plain folders: spellings, camera files, poses."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from ggwarp.datasets import DatasetError, FrameError, open_dataset
+from ggwarp.datasets.folder import open_sequence, recognises
+from ggwarp.types import Camera
+
+Maker = Callable[..., Path]
+
+
+@pytest.mark.parametrize("spelling", ["color", "rgb", "images"])
+def test_colour_folders(make_folder: Maker, sample: SimpleNamespace, spelling: str) -> None:
+    folder = make_folder(12, colour_folder=spelling)
+    dataset = open_dataset(str(folder), data_root=folder)
+    assert dataset.kind == "folder" and len(dataset) == 12
+    frame = dataset[10]
+    np.testing.assert_array_equal(frame.rgb, sample.colour(10)[..., ::-1])
+    assert frame.depth is not None and frame.depth[5, 5] == np.float32(1.01) and frame.T_wc is None
+
+
+def test_poses_in_one_file(make_folder: Maker, sample: SimpleNamespace) -> None:
+    folder = make_folder(3)
+    (folder / "traj.txt").write_text("\n".join(sample.matrix_row(sample.pose(i)) for i in range(3)))
+    np.testing.assert_allclose(open_sequence(folder)[2].T_wc, sample.pose(2), atol=1e-9)
+
+
+def test_poses_in_a_file_each(make_folder: Maker, sample: SimpleNamespace) -> None:
+    folder = make_folder(3)
+    (folder / "pose").mkdir()
+    for i in (0, 2):
+        np.savetxt(folder / "pose" / f"{i}.txt", sample.pose(i))
+    dataset = open_sequence(folder)
+    np.testing.assert_allclose(dataset[2].T_wc, sample.pose(2), atol=1e-9)
+    assert dataset[1].T_wc is None
+
+
+def test_a_pose_file_of_infinities_is_no_pose(make_folder: Maker, caplog: pytest.LogCaptureFixture) -> None:
+    folder = make_folder(1)
+    (folder / "pose").mkdir()
+    np.savetxt(folder / "pose/0.txt", np.full((4, 4), -np.inf))
+    assert open_sequence(folder)[0].T_wc is None and "0.txt" in caplog.text
+
+
+CAMERA = Camera(24, 16, 20.0, 21.0, 11.5, 7.5)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("camera.json", json.dumps({"width": 24, "height": 16, "fx": 20, "fy": 21, "cx": 11.5, "cy": 7.5})),
+        ("camera.json", json.dumps({"fx": 20, "fy": 21, "cx": 11.5, "cy": 7.5})),
+        ("cam_params.json", json.dumps({"camera": {"fx": 20, "fy": 21, "cx": 11.5, "cy": 7.5}})),
+        (
+            "camera_intrinsic.json",
+            json.dumps({"width": 24, "height": 16, "intrinsic_matrix": [20, 0, 0, 0, 21, 0, 11.5, 7.5, 1]}),
+        ),
+        ("calibration.txt", "# fx fy cx cy\n20 21 11.5 7.5\n"),
+        ("calibration.txt", "20, 21, 11.5, 7.5, 0, 0, 0, 0, 0"),
+        ("intrinsics.txt", "20 0 11.5\n0 21 7.5\n0 0 1\n"),
+        ("intrinsics.txt", "20 0 11.5 0\n0 21 7.5 0\n0 0 1 0\n0 0 0 1\n"),
+    ],
+)
+def test_spellings_of_the_camera(make_folder: Maker, name: str, text: str) -> None:
+    folder = make_folder(1, camera=False)
+    (folder / name).write_text(text)
+    assert open_sequence(folder).camera == CAMERA
+
+
+@pytest.mark.parametrize("text", ["", "20 21 11.5", "20 0\n0 21"])
+def test_a_camera_file_of_another_form(make_folder: Maker, text: str) -> None:
+    folder = make_folder(1, camera=False)
+    (folder / "intrinsics.txt").write_text(text)
+    with pytest.raises(DatasetError, match=r"intrinsics\.txt: expected one line"):
+        open_sequence(folder)
+
+
+def test_no_camera_file_says_what_to_write(make_folder: Maker) -> None:
+    with pytest.raises(
+        DatasetError, match=r'camera\.json: no camera file in .*own; write one, such as \{"w"'
+    ):
+        open_sequence(make_folder(1, camera=False))
+
+
+def test_colour_alone_is_a_sequence_without_depth(make_folder: Maker) -> None:
+    dataset = open_sequence(make_folder(2, with_depth=False))
+    assert not dataset.has_depth and dataset[0].depth is None
+
+
+def test_colour_alone_without_a_camera_is_not_recognised(make_folder: Maker) -> None:
+    assert not recognises(make_folder(2, with_depth=False, camera=False))
+
+
+def test_depth_of_other_names(make_folder: Maker) -> None:
+    folder = make_folder(1)
+    (folder / "depth/0.png").rename(folder / "depth/a.png")
+    with pytest.raises(DatasetError, match="no image in depth/ has the name or number"):
+        open_sequence(folder)
+
+
+def test_an_empty_folder(tmp_path: Path) -> None:
+    (tmp_path / "color").mkdir()
+    (tmp_path / "depth").mkdir()
+    with pytest.raises(DatasetError, match="the sequence is empty"):
+        open_sequence(tmp_path)
+
+
+def test_coloured_depth_is_refused(make_folder: Maker, sample: SimpleNamespace) -> None:
+    folder = make_folder(3)
+    sample.save(folder / "depth/1.png", sample.colour(1))
+    with pytest.raises(FrameError, match=r"1\.png: 3 channel\(s\) of uint8; depth must be one channel"):
+        open_sequence(folder)[1]
+
+
+def test_a_saturated_reading_is_none(make_folder: Maker, sample: SimpleNamespace) -> None:
+    folder = make_folder(1)
+    depth = sample.depth(0)
+    depth[3, 4] = 65535
+    sample.save(folder / "depth/0.png", depth)
+    read = open_sequence(folder)[0].depth
+    assert read is not None and read[3, 4] == 0.0 and read[3, 5] == 1.0

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a sequence is found, by name or path, and what is said when it is not."""
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from ggwarp.datasets import KINDS, Dataset, DatasetError, Kind, open_dataset, register
+from ggwarp.datasets.tum import full_name
+
+Maker = Callable[..., Path]
+
+
+def test_a_scene_is_found_by_name_in_a_folder_of_the_data_root(make_replica: Maker, tmp_path: Path) -> None:
+    make_replica(2, name="room9")
+    dataset = open_dataset("room9", data_root=tmp_path)
+    assert isinstance(dataset, Dataset)
+    assert (dataset.name, dataset.kind, len(dataset)) == ("room9", "replica", 2)
+
+
+def test_a_scene_is_found_by_path(make_replica: Maker, tmp_path: Path) -> None:
+    scene = make_replica(2)
+    assert len(open_dataset(str(scene), data_root=tmp_path / "absent")) == 2
+
+
+def test_a_relative_path_is_taken_from_here(
+    make_replica: Maker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make_replica(2)
+    monkeypatch.chdir(tmp_path)
+    for spelling in ("Replica/scene", "./Replica/scene"):
+        assert len(open_dataset(spelling, data_root=tmp_path / "absent")) == 2
+
+
+def test_a_link_to_a_scene_is_that_scene(make_replica: Maker, tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(make_replica(2))
+    assert open_dataset(str(tmp_path / "link"), data_root=tmp_path).name == "scene"
+
+
+def test_any_folder_of_the_root_is_searched(make_replica: Maker, tmp_path: Path) -> None:
+    make_replica(2).parent.rename(tmp_path / "My scans")
+    assert len(open_dataset("scene", data_root=tmp_path)) == 2
+
+
+@pytest.mark.parametrize("short", ["fr1/xyz", "fr1_xyz", "freiburg1_xyz", "rgbd_dataset_freiburg1_xyz"])
+def test_tum_sequences_go_by_their_short_names(make_tum: Maker, tmp_path: Path, short: str) -> None:
+    make_tum([0.0], [0.0], name="rgbd_dataset_freiburg1_xyz")
+    assert open_dataset(short, data_root=tmp_path).kind == "tum"
+
+
+def test_other_names_are_not_tums() -> None:
+    assert full_name("office0") is None and full_name("freiburg4_xyz") is None
+
+
+@pytest.mark.parametrize("seq", ["office0", "office", "synthetic"])
+def test_the_built_in_office_needs_no_data(tmp_path: Path, seq: str) -> None:
+    dataset = open_dataset(seq, data_root=tmp_path / "absent")
+    assert dataset.kind == "synthetic" and dataset.has_masks
+
+
+def test_the_built_in_office_goes_without_masks_when_told(tmp_path: Path) -> None:
+    dataset = open_dataset("office", data_root=tmp_path, masks="none")
+    assert not dataset.has_masks and isinstance(dataset, Dataset)
+    with pytest.raises(DatasetError, match="brings its own masks"):
+        open_dataset("office", data_root=tmp_path, masks=tmp_path)
+
+
+def test_replicas_office0_goes_before_the_built_in_one(make_replica: Maker, tmp_path: Path) -> None:
+    make_replica(2, name="office0")
+    assert open_dataset("office0", data_root=tmp_path).kind == "replica"
+    assert open_dataset("office", data_root=tmp_path).kind == "synthetic"
+
+
+def test_a_damaged_office0_is_not_replaced_in_silence(tmp_path: Path) -> None:
+    (tmp_path / "office0").mkdir()
+    with pytest.raises(DatasetError, match="holds no sequence that is recognised"):
+        open_dataset("office0", data_root=tmp_path)
+
+
+def test_an_unknown_name_says_where_it_was_sought(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="room77: no such sequence") as error:
+        open_dataset("room77", data_root=tmp_path)
+    assert str(tmp_path / "Replica" / "room77") in str(error.value) and "--data" in str(error.value)
+
+
+def test_a_file_is_no_sequence(tmp_path: Path) -> None:
+    (tmp_path / "video.mp4").touch()
+    with pytest.raises(DatasetError, match="is a file"):
+        open_dataset("video.mp4", data_root=tmp_path)
+
+
+def test_a_kind_can_be_added(tmp_path: Path, make_replica: Maker) -> None:
+    scene = open_dataset(str(make_replica(2)), data_root=tmp_path)
+    (tmp_path / "special").mkdir()
+    register(Kind("special", "special/", lambda path: path.name == "special", lambda path, masks: scene))
+    try:
+        assert open_dataset("special", data_root=tmp_path) is scene
+    finally:
+        KINDS.pop()
+
+
+def test_importing_loads_neither_opencv_nor_warp_nor_torch() -> None:
+    code = "import sys, ggwarp.datasets; print([m for m in ('cv2', 'warp', 'torch') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings in the TUM layout: association, cameras, undistortion."""
+
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ggwarp.datasets import DatasetError, open_dataset
+from ggwarp.datasets.tum import nearest, open_sequence
+
+Maker = Callable[..., Path]
+
+
+def test_each_colour_image_takes_the_nearest_depth_and_pose(make_tum: Maker) -> None:
+    folder = make_tum([1.0, 1.1, 1.2], [0.99, 1.115, 1.105, 1.221], [0.93, 1.05, 1.19])
+    dataset = open_sequence(folder)
+    # 1.2 has no depth within 0.02 s; 1.1 takes depth 2, not 1.
+    assert len(dataset) == 2
+    frames = [dataset[i] for i in range(2)]
+    assert [frame.timestamp for frame in frames] == [1.0, 1.1]
+    assert [int(frame.rgb[0, 0, 2]) for frame in frames] == [0, 1]
+    depths = [frame.depth[5, 5] for frame in frames if frame.depth is not None]
+    np.testing.assert_allclose(depths, [1000 / 5000, 1002 / 5000])
+    assert [frame.T_wc is not None and frame.T_wc[0, 3] for frame in frames] == [1, 1]
+
+
+def test_a_pose_too_far_in_time_is_unknown(make_tum: Maker) -> None:
+    dataset = open_sequence(make_tum([1.0, 2.0], [1.0, 2.0], [1.079, 2.081]))
+    assert dataset[0].T_wc is not None and dataset[1].T_wc is None
+
+
+def test_without_truth_a_recording_runs(make_tum: Maker) -> None:
+    assert open_sequence(make_tum([0.0], [0.0]))[0].T_wc is None
+
+
+def test_a_nan_pose_is_unknown(make_tum: Maker, caplog: pytest.LogCaptureFixture) -> None:
+    folder = make_tum([0.0, 1.0], [0.0, 1.0], [0.0, 1.0])
+    (folder / "groundtruth.txt").write_text("0 0 0 0 0 0 0 1\n1 nan 0 0 0 0 0 1\n")
+    dataset = open_sequence(folder)
+    assert dataset[0].T_wc is not None and dataset[1].T_wc is None
+    assert "line 2" in caplog.text
+
+
+def test_quaternions_come_with_w_last(make_tum: Maker) -> None:
+    folder = make_tum([0.0], [0.0], [0.0])
+    half = 0.5**0.5
+    (folder / "groundtruth.txt").write_text(f"0 1 2 3 0 0 {half} {half}\n")
+    T_wc = open_sequence(folder)[0].T_wc
+    np.testing.assert_allclose(T_wc, [[0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]], atol=1e-12)
+
+
+times = st.lists(st.floats(0, 2, allow_nan=False), max_size=12).map(np.array)
+
+
+@settings(max_examples=60, deadline=None)
+@given(stamps=times, others=times)
+def test_association_agrees_with_brute_force(stamps: np.ndarray, others: np.ndarray) -> None:
+    found = nearest(stamps, others, tolerance=0.1)
+    for stamp, index in zip(stamps, found, strict=True):
+        distances = np.abs(others - stamp)
+        if not len(others) or distances.min() > 0.1:
+            assert index == -1
+        else:
+            assert distances[index] == distances.min()
+
+
+@pytest.mark.parametrize(("number", "fx"), [(1, 517.306408), (2, 520.90862), (3, 535.4)])
+def test_the_camera_follows_from_the_name(
+    tmp_path: Path, sample: SimpleNamespace, number: int, fx: float
+) -> None:
+    folder = tmp_path / f"rgbd_dataset_freiburg{number}_desk"
+    sample.save(folder / "rgb/1.png", np.full((480, 640, 3), 200, np.uint8))
+    sample.save(folder / "depth/1.png", np.full((480, 640), 10000, np.uint16))
+    for kind in ("rgb", "depth"):
+        (folder / f"{kind}.txt").write_text(f"1 {kind}/1.png\n")
+    dataset = open_sequence(folder)
+    assert dataset.camera.fx == fx
+    frame = dataset[0]
+    assert frame.depth is not None
+    # Where the undistorted picture has no colour it has no depth either.
+    black = frame.rgb.max(axis=2) == 0
+    assert black.any() == (number != 3)
+    assert (frame.depth[black] == 0).all() and frame.depth[240, 320] == 2.0
+
+
+def test_colour_and_masks_are_undistorted_and_depth_is_not(make_tum: Maker, sample: SimpleNamespace) -> None:
+    """A straight line in space, drawn as the lens bends it, comes out straight."""
+    K = np.array([[20, 0, 11.5], [0, 20, 7.5], [0, 0, 1.0]])
+    distortion = np.array([0.3, 0.1, 0.0, 0.0, 0.0])
+    folder = make_tum([0.0], [0.0], calibration="20 20 11.5 7.5 0.3 0.1 0 0")
+    u = np.arange(sample.width, dtype=np.float64)
+    ray = np.stack([(u - 11.5) / 20, np.full_like(u, (3 - 7.5) / 20), np.ones_like(u)], axis=1)
+    bent = cv2.projectPoints(ray, np.zeros(3), np.zeros(3), K, distortion)[0][:, 0]
+    image = np.full((sample.height, sample.width, 3), 10, np.uint8)
+    for x, y in np.rint(bent).astype(int):
+        if 0 <= x < sample.width and 0 <= y < sample.height:
+            image[y, x] = 250
+    sample.save(folder / "rgb/0.000000.png", image)
+    sample.save(folder / "object_mask/0.000000.png", (image[..., 0] > 100).astype(np.uint8) * 9)
+    frame = open_sequence(folder)[0]
+    assert frame.mask is not None and frame.depth is not None
+    inner = slice(6, 18)
+    assert (frame.mask[3, inner] == 9).mean() > 0.8 and (frame.rgb[3, inner, 0] > 120).mean() > 0.8
+    assert set(np.unique(frame.mask)) == {0, 9}
+    seen = frame.depth > 0
+    assert (frame.depth[seen] == np.float32(0.2)).all() and 0.6 < seen.mean() < 1.0
+
+
+def test_a_camera_file_goes_before_the_name(make_tum: Maker) -> None:
+    folder = make_tum([0.0], [0.0], name="rgbd_dataset_freiburg1_own")
+    assert open_sequence(folder).camera.fx == 20.0
+
+
+def test_an_unknown_camera_says_what_to_write(make_tum: Maker) -> None:
+    with pytest.raises(DatasetError, match=r"which camera\?.*calibration\.txt"):
+        open_sequence(make_tum([0.0], [0.0], calibration=None))
+
+
+def test_no_pair_in_time(make_tum: Maker) -> None:
+    with pytest.raises(DatasetError, match=r"within 0\.02 s.*rgb\.txt lists 1, depth\.txt 1"):
+        open_sequence(make_tum([0.0], [0.5]))
+
+
+def test_empty_lists(make_tum: Maker) -> None:
+    with pytest.raises(DatasetError, match=r"rgb\.txt lists 0"):
+        open_sequence(make_tum([], []))
+
+
+@pytest.mark.parametrize(
+    ("file", "line", "says"),
+    [
+        ("rgb.txt", "one rgb/1.png", "'one' is not a number"),
+        ("rgb.txt", "nan rgb/1.png", "nan is not a time"),
+        ("depth.txt", "1.0", "expected a time and a file name"),
+        ("groundtruth.txt", "1 2 3", "3 numbers; expected t tx ty tz"),
+    ],
+)
+def test_malformed_lists_are_named(make_tum: Maker, file: str, line: str, says: str) -> None:
+    folder = make_tum([0.0], [0.0], [0.0])
+    (folder / file).write_text(f"# comment\n{line}\n")
+    with pytest.raises(DatasetError, match=says) as error:
+        open_sequence(folder)
+    assert f"{file}:2" in str(error.value)
+
+
+def test_a_real_recording(recordings: Path) -> None:
+    dataset = open_dataset("fr1/xyz", data_root=recordings)
+    assert len(dataset) == 40
+    frame = dataset[0]
+    assert frame.timestamp == pytest.approx(1305031102.175304) and frame.T_wc is not None
+    assert frame.depth is not None and 0.5 < (frame.depth > 0).mean() < 1.0
+    assert frame.depth.max() < 10.0
