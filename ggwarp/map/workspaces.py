@@ -7,7 +7,7 @@ from typing import Any
 
 import warp as wp
 
-from ggwarp.kernels import ssim
+from ggwarp.kernels import identity, ssim
 from ggwarp.kernels.math import vec16
 
 
@@ -21,4 +21,23 @@ def allocate_loss(height: int, width: int, *, device: Any) -> ssim.LossWorkspace
         slopes=wp.zeros(shape, dtype=vec16, device=device),
         partials=wp.zeros(items, dtype=wp.vec4, device=device),
         bins=wp.zeros(ssim.BINS, dtype=wp.vec4, device=device),
+    )
+
+
+def allocate_identity(
+    padded_height: int, padded_width: int, *, capacity: int, device: Any
+) -> identity.IdentityWorkspace:
+    """Allocate the scratch of the cross-entropy for a padded image and up to ``capacity`` classes."""
+    by_rows = identity.runs_by_rows(device)
+    rows = padded_height if by_rows else 0
+    return identity.IdentityWorkspace(
+        logits=wp.zeros((rows, capacity), dtype=vec16, device=device),
+        bias_sums=wp.zeros((rows, capacity), dtype=vec16, device=device),
+        pixels=wp.zeros((rows, 16), dtype=vec16, device=device),
+        log_sums=wp.zeros(
+            (0, 0) if by_rows else (padded_height, padded_width), dtype=wp.float32, device=device
+        ),
+        weight_partials=wp.zeros((padded_height, capacity), dtype=vec16, device=device),
+        other_partials=wp.zeros((padded_height, capacity), dtype=wp.vec2, device=device),
+        class_losses=wp.zeros(capacity, dtype=wp.float32, device=device),
     )
