@@ -5,8 +5,8 @@ z = W e + b per pixel, L_obj = mean CE(z, y) / log(classes), the mean over all H
 pixels (label outside [0, classes)) add nothing. Sums over pixels are kept per image row, then
 added row by row: the result does not depend on threads.
 
-Two forms. By rows (CPU): a thread per row, 16 pixels at a time as the lanes of a vec16. By pixels
-(CUDA): a thread per pixel for the image gradient, then a thread per (row, class) for the classifier's.
+Two forms. By rows (CPU, here): a thread per row, 16 pixels at a time as the lanes of a vec16. By
+pixels (CUDA): :mod:`ggwarp.kernels.identity_pixels`.
 """
 
 import math
@@ -15,13 +15,13 @@ from typing import Any
 
 import warp as wp
 
+from ggwarp.kernels import identity_pixels
+from ggwarp.kernels.identity_pixels import IDENTITY_PLANE
 from ggwarp.kernels.launch import launch_split
 from ggwarp.kernels.loss import OBJECT
 from ggwarp.kernels.math import vec16
 
 wp.set_module_options({"enable_backward": False})
-
-IDENTITY_PLANE = wp.constant(4)
 
 
 @dataclass(frozen=True)
@@ -169,92 +169,6 @@ def _rows_kernel(
         other_partials[row, c] = wp.vec2(wp.dot(bias_sums[row, c], vec16(1.0)), wp.where(c == 0, loss, 0.0))
 
 
-@wp.func
-def _identity_at(image: wp.array3d[wp.float32], row: int, column: int) -> vec16:
-    e = vec16()
-    for k in range(16):
-        e[k] = image[IDENTITY_PLANE + k, row, column]
-    return e
-
-
-@wp.kernel
-def _pixels_kernel(
-    width: int,
-    classes: int,
-    stride: int,
-    phase: int,
-    scale: float,
-    image: wp.array3d[wp.float32],
-    labels: wp.array2d[wp.int32],
-    weights: wp.array[vec16],
-    biases: wp.array[wp.float32],
-    log_sums: wp.array2d[wp.float32],
-    d_image: wp.array3d[wp.float32],
-):
-    item = wp.tid()
-    row = item / width
-    column = item - row * width
-    label = int(-1)
-    if row < labels.shape[0] and column < labels.shape[1] and row % stride == phase:
-        label = labels[row, column]
-    d = vec16()
-    if label >= 0 and label < classes:
-        e = _identity_at(image, row, column)
-        largest = float(-1.0e30)
-        total = float(0.0)
-        for c in range(classes):
-            z = wp.dot(weights[c], e) + biases[c]
-            if z > largest:
-                total = total * wp.exp(largest - z) + 1.0
-                largest = z
-            else:
-                total += wp.exp(z - largest)
-        log_sum = largest + wp.log(total)
-        log_sums[row, column] = log_sum
-        for c in range(classes):
-            w = weights[c]
-            d += w * wp.exp(wp.dot(w, e) + biases[c] - log_sum)
-        d = (d - weights[label]) * scale
-    for k in range(16):
-        d_image[IDENTITY_PLANE + k, row, column] = d[k]
-
-
-@wp.kernel
-def _classes_kernel(
-    classes: int,
-    stride: int,
-    phase: int,
-    scale: float,
-    image: wp.array3d[wp.float32],
-    labels: wp.array2d[wp.int32],
-    weights: wp.array[vec16],
-    biases: wp.array[wp.float32],
-    log_sums: wp.array2d[wp.float32],
-    weight_partials: wp.array2d[vec16],
-    other_partials: wp.array2d[wp.vec2],
-):
-    item = wp.tid()
-    row = phase + (item / classes) * stride
-    c = item % classes
-    d = vec16()
-    db = float(0.0)
-    loss = float(0.0)
-    w = weights[c]
-    for column in range(labels.shape[1]):
-        label = labels[row, column]
-        if label >= 0 and label < classes:
-            e = _identity_at(image, row, column)
-            log_p = wp.dot(w, e) + biases[c] - log_sums[row, column]
-            g = wp.exp(log_p)
-            if label == c:
-                g -= 1.0
-                loss -= log_p
-            d += g * e
-            db += g
-    weight_partials[row, c] = d * scale
-    other_partials[row, c] = wp.vec2(db * scale, loss)
-
-
 @wp.kernel
 def _fold_kernel(
     height: int,
@@ -335,7 +249,6 @@ def cross_entropy(
         ValueError: ``classes`` is not in 1..capacity, or ``phase`` not in 0..stride - 1.
     """
     height, width = labels.shape
-    padded_height, padded_width = image.shape[1], image.shape[2]
     capacity = min(workspace.weight_partials.shape[1], weights.shape[0])
     if not 1 <= classes <= capacity:
         raise ValueError(f"identity classes: {classes}, but there is room for 1 to {capacity}")
@@ -343,35 +256,28 @@ def cross_entropy(
         raise ValueError(f"phase {phase} is not in 0..{stride - 1}")
     unit = stride / (height * width * math.log(classes)) if classes > 1 else 0.0
     partials = [workspace.weight_partials, workspace.other_partials]
-    rows = [classes, stride, phase, weight * unit]
+    head = [classes, stride, phase, weight * unit]
     if runs_by_rows(device):
-        blocks = padded_width // 16
+        blocks = image.shape[2] // 16
         logits, pixels = workspace.logits, workspace.pixels
         launch_split(
             _rows_kernel,
-            padded_height,
-            inputs=[*rows, _view(image, vec16, (image.shape[0], padded_height, blocks)), labels]
-            + [weights, biases, logits, _view(logits, wp.float32, (*logits.shape, 16))]
-            + [pixels, _view(pixels, wp.float32, (*pixels.shape, 16)), image, workspace.bias_sums],
-            outputs=[*partials, _view(d_image, vec16, (d_image.shape[0], padded_height, blocks))],
+            image.shape[1],
+            inputs=[
+                *(*head, _view(image, vec16, (*image.shape[:2], blocks)), labels, weights, biases),
+                *(logits, _view(logits, wp.float32, (*logits.shape, 16))),
+                *(pixels, _view(pixels, wp.float32, (*pixels.shape, 16)), image, workspace.bias_sums),
+            ],
+            outputs=[*partials, _view(d_image, vec16, (*d_image.shape[:2], blocks))],
             device=device,
             min_piece=8,
         )
     else:
-        common = [image, labels, weights, biases, workspace.log_sums]
-        wp.launch(
-            _pixels_kernel,
-            dim=padded_height * padded_width,
-            inputs=[padded_width, *rows, *common],
-            outputs=[d_image],
-            device=device,
-        )
-        row_count = len(range(phase, height, stride))
-        wp.launch(
-            _classes_kernel,
-            dim=row_count * classes,
-            inputs=[*rows, *common],
-            outputs=partials,
+        identity_pixels.launch(
+            *(*head, image, labels, weights, biases, workspace.log_sums),
+            d_image=d_image,
+            weight_partials=workspace.weight_partials,
+            other_partials=workspace.other_partials,
             device=device,
         )
     wp.launch(
