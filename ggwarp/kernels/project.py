@@ -8,6 +8,7 @@ the mean (Zwicker 2001; Kerbl 2023). Outside 1.3 times the field of view J is fr
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,6 +27,7 @@ wp.set_module_options({"enable_backward": False})
 TILE = wp.constant(16)
 NEAR = wp.constant(0.05)
 LOW_PASS = wp.constant(0.3)
+MAX_REACH = wp.constant(2.0 * math.log(255.0) * 1.01)
 SH_C0 = wp.constant(0.28209479177387814)
 
 
@@ -121,6 +123,12 @@ def conic_of(w0: wp.vec3, w1: wp.vec3):
 
 
 @wp.func
+def _off_screen(centre: float, reach2: float, size: int):
+    beyond = wp.max(-centre, centre - float(size - 1))
+    return beyond > 0.0 and beyond * beyond > reach2
+
+
+@wp.func
 def _tile_span(centre: float, extent: float, size: int):
     """First and last-plus-one tile that hold a pixel within ``extent`` of ``centre``."""
     # Clamped before the conversion: a float outside the range of int is undefined.
@@ -153,17 +161,27 @@ def _project(
 ):
     i = offset + wp.tid()
     tile_rects[i] = wp.vec4i(0, 0, 0, 0)
-    opacity = 1.0 / (1.0 + wp.exp(-opacity_logits[i]))
     p = transform_point(T_cw[0], means[i])
     # Negated comparisons so that NaN is culled.
-    if not (p[2] >= NEAR and opacity * 255.0 > 1.0):
+    if not (p[2] >= NEAR):
         return
     u = camera.fx * p[0] / p[2] + camera.cx
     v = camera.fy * p[1] / p[2] + camera.cy
+    row_x = jacobian_row_x(p, camera)
+    row_y = jacobian_row_y(p, camera)
+    # Most Gaussians of a room are off the screen: a bound on the ellipse (opacity 1, a ball of the
+    # largest scale, 1 % for rounding) tells without the rest.
+    largest = wp.exp(wp.max(log_scales[i]))
+    bound = MAX_REACH * (largest * largest * (wp.dot(row_x, row_x) + wp.dot(row_y, row_y)) + LOW_PASS)
+    if _off_screen(u, bound, camera.width) or _off_screen(v, bound, camera.height):
+        return
+    opacity = 1.0 / (1.0 + wp.exp(-opacity_logits[i]))
+    if not (opacity * 255.0 > 1.0):
+        return
     norm2 = wp.dot(quats[i], quats[i])
     rotation = rotation_of(T_cw[0]) * quat_to_matrix(wp.normalize(quats[i]))
     m = wp.transpose(scaled_columns(rotation, exp_each(log_scales[i])))
-    conic, xx, yy = conic_of(m * jacobian_row_x(p, camera), m * jacobian_row_y(p, camera))
+    conic, xx, yy = conic_of(m * row_x, m * row_y)
     # alpha >= 1/255 <=> the squared Mahalanobis distance is at most 2 ln(255 opacity).
     reach = 2.0 * wp.log(255.0 * opacity)
     colour = colours[i]

@@ -30,6 +30,7 @@ from ggwarp.kernels.project import (
     jacobian_row_y,
     scaled_columns,
 )
+from ggwarp.kernels.tiles import TileArrays
 
 wp.set_module_options({"enable_backward": False})
 
@@ -84,7 +85,8 @@ def _project_adjoint(
     colours: wp.array[wp.vec3],
     T_cw: wp.array[wp.mat44],
     camera: CameraIntrinsics,
-    order: wp.array[int],
+    visible: wp.array[int],
+    ranks: wp.array[int],
     slot_offsets: wp.array[int],
     counts: wp.array[int],
     slot_d_means2d: wp.array[wp.vec2],
@@ -97,12 +99,13 @@ def _project_adjoint(
     d_opacity_logits: wp.array[float],
     d_colours: wp.array[wp.vec3],
     d_identities: wp.array[vec16],
-    rank_d_poses: wp.array[vec6],
+    d_poses: wp.array[vec6],
 ):
-    rank = offset + wp.tid()
-    if rank >= counts[0]:
+    k = offset + wp.tid()
+    if k >= counts[0]:
         return
-    i = order[rank]
+    i = visible[k]
+    rank = ranks[i]
     # Slots that did not fit (overflow) were never written.
     begin = wp.clamp(slot_offsets[rank], 0, slot_d_means2d.shape[0])
     end = wp.clamp(slot_offsets[rank + 1], begin, slot_d_means2d.shape[0])
@@ -164,10 +167,10 @@ def _project_adjoint(
     d_z -= (camera.fx * (p[0] * d_uv[0] + d_j0[0]) + camera.fy * (p[1] * d_uv[1] + d_j1[1])) / (z * z)
     d_p = wp.vec3(d_x, d_y, d_z)
     d_means[i] = wp.transpose(R_cw) * d_p
-    if rank_d_poses:
+    if d_poses:
         # T_cw <- Exp(v, w) T_cw moves p by v + w x p and turns the columns of m by w.
         d_w = wp.cross(p, d_p) + wp.cross(d_j0, j0) + wp.cross(d_j1, j1)
-        rank_d_poses[rank] = vec6(d_p[0], d_p[1], d_p[2], d_w[0], d_w[1], d_w[2])
+        d_poses[k] = vec6(d_p[0], d_p[1], d_p[2], d_w[0], d_w[1], d_w[2])
 
 
 @wp.kernel
@@ -197,9 +200,7 @@ def project_adjoint(
     T_cw: wp.array,
     camera: CameraIntrinsics,
     count: int,
-    order: wp.array,
-    slot_offsets: wp.array,
-    counts: wp.array,
+    tiles: TileArrays,
     slots: SlotGradients,
     d_means: wp.array,
     d_quats: wp.array,
@@ -216,7 +217,7 @@ def project_adjoint(
     Args:
         means, quats, log_scales, opacity_logits, colours, T_cw, camera, count: as given to
             :func:`ggwarp.kernels.project.project`.
-        order, slot_offsets, counts: of :class:`ggwarp.kernels.tiles.TileArrays`.
+        tiles: the binning that the composite used.
         slots: gradients per slot.
         d_means, d_quats, d_log_scales, d_opacity_logits, d_colours: outputs, like the parameters.
         d_identities: output [>= count] vec16; None skips it.
@@ -224,13 +225,13 @@ def project_adjoint(
             the gradient (translation, rotation) of T_cw <- Exp(tau) T_cw. Empty: no pose gradient.
     """
     device = means.device
-    ranks = min(count, int(counts.numpy()[0])) if device.is_cpu else count
+    visible = int(tiles.counts.numpy()[0]) if device.is_cpu else count
     launch_split(
         _project_adjoint,
-        ranks,
+        visible,
         inputs=[
             means, quats, log_scales, opacity_logits, colours, T_cw, camera,
-            order, slot_offsets, counts,
+            tiles.visible, tiles.ranks, tiles.slot_offsets, tiles.counts,
             slots.d_means2d, slots.d_conics, slots.heads, slots.identities,
         ],
         outputs=[
@@ -239,7 +240,7 @@ def project_adjoint(
         ],
         device=device,
     )  # fmt: skip
-    limit = counts
+    limit = tiles.counts
     for values, sums in pairwise(d_pose_scratch):
         wp.launch(
             _sum_blocks,

@@ -13,6 +13,10 @@ from ggwarp.kernels.project_adjoint import SlotGradients
 from ggwarp.kernels.tiles import TileArrays, tiles_across
 
 
+def _empty(size: int, dtype: Any, device: Any) -> wp.array:
+    return wp.empty(size, dtype=dtype, device=device)
+
+
 def _views(features: wp.array) -> tuple[wp.array, wp.array | None]:
     """View [n, C] rows as a vec4 and, if C is 20, a vec16: one load each instead of C."""
     n, channels = features.shape
@@ -31,9 +35,9 @@ def allocate_splats(count: int, channels: int, *, device: Any) -> Splats:
     features = wp.empty((max(count, 1), channels), dtype=float, device=device)
     n = features.shape[0]
     return Splats(
-        wp.empty(n, dtype=wp.vec2, device=device),
-        wp.empty(n, dtype=wp.vec4, device=device),
-        wp.empty(n, dtype=float, device=device),
+        _empty(n, wp.vec2, device),
+        _empty(n, wp.vec4, device),
+        _empty(n, float, device),
         wp.zeros(n, dtype=wp.vec4i, device=device),
         features,
         *_views(features),
@@ -45,8 +49,8 @@ def allocate_slot_gradients(slots: int, channels: int, *, device: Any) -> SlotGr
     d_features = wp.empty((max(slots, 1), channels), dtype=float, device=device)
     n = d_features.shape[0]
     return SlotGradients(
-        wp.empty(n, dtype=wp.vec2, device=device),
-        wp.empty(n, dtype=wp.vec4, device=device),
+        _empty(n, wp.vec2, device),
+        _empty(n, wp.vec4, device),
         d_features,
         *_views(d_features),
     )
@@ -60,13 +64,15 @@ def allocate_tiles(count: int, slots: int, *, width: int, height: int, device: A
         return wp.zeros(size, dtype=int, device=device)
 
     return TileArrays(
+        visible=ints(n),
         order=ints(2 * n),
+        ranks=ints(n),
         slot_offsets=ints(n + 1),
         slot_gaussians=ints(slots),
         pair_slots=ints(2 * slots),
         tile_ranges=wp.zeros(tiles_across(width) * tiles_across(height), dtype=wp.vec2i, device=device),
         counts=ints(3),
-        depth_keys=wp.empty(2 * n, dtype=float, device=device),
+        depth_keys=_empty(2 * n, float, device),
         pair_counts=ints(n + 1),
         pair_tiles=ints(2 * slots),
     )

@@ -7,8 +7,8 @@ import warp as wp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ggwarp.kernels import tiles as binning
 from ggwarp.kernels.tiles import TileCapacityError, bin_splats, tiles_across
+from ggwarp.kernels.tiles_parallel import bin_in_parallel
 from ggwarp.ops.workspace import allocate_tiles
 
 
@@ -26,7 +26,7 @@ def run_binning(rects, depths, width, height, slots, device, *, parallel=False):
     out = allocate_tiles(len(rects), slots, width=width, height=height, device=device)
     arrays = (wp.array(rects, dtype=wp.vec4i, device=device), wp.array(depths, dtype=float, device=device))
     if parallel:
-        binning._bin_in_parallel(*arrays, len(rects), tiles_across(width), out)
+        bin_in_parallel(*arrays, len(rects), tiles_across(width), out)
     else:
         bin_splats(*arrays, count=len(rects), width=width, height=height, out=out)
     return out
@@ -50,6 +50,9 @@ def assert_binned(out, rects, depths, width, height):
     assert out.counts.numpy().tolist() == [len(order), len(slots), 0]
     assert out.order.numpy()[: len(order)].tolist() == order
     assert out.slot_gaussians.numpy()[: len(slots)].tolist() == slots
+    assert out.visible.numpy()[: len(order)].tolist() == sorted(order)
+    ranks = {gaussian: rank for rank, gaussian in enumerate(order)}
+    assert out.ranks.numpy()[: len(rects)].tolist() == [ranks.get(i, -1) for i in range(len(rects))]
     offsets = out.slot_offsets.numpy()
     sizes = [(rects[i, 2] - rects[i, 0]) * (rects[i, 3] - rects[i, 1]) for i in order]
     assert offsets[: len(order) + 1].tolist() == np.concatenate([[0], np.cumsum(sizes)]).astype(int).tolist()
