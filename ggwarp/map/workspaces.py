@@ -7,7 +7,7 @@ from typing import Any
 
 import warp as wp
 
-from ggwarp.kernels import identity, ssim
+from ggwarp.kernels import identity, identity_kl, ssim
 from ggwarp.kernels.math import vec16
 
 
@@ -40,4 +40,21 @@ def allocate_identity(
         weight_partials=wp.zeros((padded_height, capacity), dtype=vec16, device=device),
         other_partials=wp.zeros((padded_height, capacity), dtype=wp.vec2, device=device),
         class_losses=wp.zeros(capacity, dtype=wp.float32, device=device),
+    )
+
+
+def allocate_neighbours(
+    samples: int, neighbours: int, *, capacity: int, device: Any
+) -> identity_kl.NeighbourWorkspace:
+    """Allocate the scratch of the KL term for ``samples`` Gaussians with ``neighbours`` each."""
+    slots = samples * (1 + neighbours)
+    partials = (-(-slots // identity_kl.CHUNK), capacity)
+    return identity_kl.NeighbourWorkspace(
+        log_p=wp.zeros((slots, capacity), dtype=wp.float32, device=device),
+        slot_gradients=wp.zeros(slots, dtype=vec16, device=device),
+        keys=wp.zeros(2 * slots, dtype=wp.int32, device=device),
+        values=wp.zeros(2 * slots, dtype=wp.int32, device=device),
+        weight_partials=wp.zeros(partials, dtype=vec16, device=device),
+        bias_partials=wp.zeros(partials, dtype=wp.float32, device=device),
+        divergences=wp.zeros(samples, dtype=wp.float32, device=device),
     )

@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The most probable class of each pixel of an identity image, or of each Gaussian."""
+
+from typing import Any
+
+import warp as wp
+
+from ggwarp.kernels.launch import launch_split
+from ggwarp.kernels.math import vec16
+
+wp.set_module_options({"enable_backward": False})
+
+_PLANE = wp.constant(4)
+
+
+@wp.func
+def _best_class(e: vec16, classes: int, weights: wp.array[vec16], biases: wp.array[wp.float32]):
+    """Return (class, probability); the first of equal classes; (-1, 0) when no logit is finite."""
+    best = int(-1)
+    largest = float(-1.0e30)
+    for c in range(classes):
+        z = wp.dot(weights[c], e) + biases[c]
+        if z > largest:
+            largest = z
+            best = c
+    total = float(0.0)
+    for c in range(classes):
+        total += wp.exp(wp.dot(weights[c], e) + biases[c] - largest)
+    probability = float(0.0)
+    if best >= 0:
+        probability = 1.0 / total
+    return best, probability
+
+
+@wp.kernel
+def _pixels_kernel(
+    offset: int,
+    classes: int,
+    image: wp.array3d[wp.float32],
+    weights: wp.array[vec16],
+    biases: wp.array[wp.float32],
+    labels: wp.array2d[wp.int32],
+    probabilities: wp.array2d[wp.float32],
+):
+    item = offset + wp.tid()
+    row = item / labels.shape[1]
+    column = item - row * labels.shape[1]
+    e = vec16()
+    for k in range(16):
+        e[k] = image[_PLANE + k, row, column]
+    label, probability = _best_class(e, classes, weights, biases)
+    labels[row, column] = label
+    probabilities[row, column] = probability
+
+
+@wp.kernel
+def _gaussians_kernel(
+    offset: int,
+    classes: int,
+    identities: wp.array[vec16],
+    weights: wp.array[vec16],
+    biases: wp.array[wp.float32],
+    labels: wp.array[wp.int32],
+    probabilities: wp.array[wp.float32],
+):
+    i = offset + wp.tid()
+    label, probability = _best_class(identities[i], classes, weights, biases)
+    labels[i] = label
+    probabilities[i] = probability
+
+
+def classify_pixels(
+    image: Any, *, weights: Any, biases: Any, classes: int, labels: Any, probabilities: Any, device: Any
+) -> None:
+    """Write each pixel's most probable class and its softmax probability.
+
+    Args:
+        image: [20, Hp, Wp] render; planes 4-19 are the identity.
+        weights: [>= classes] vec16; biases: [>= classes] float.
+        classes: classes in use.
+        labels: [H, W] int, written; -1 where no logit is finite.
+        probabilities: [H, W] float, written.
+        device: a Warp device.
+    """
+    launch_split(
+        _pixels_kernel,
+        labels.shape[0] * labels.shape[1],
+        inputs=[classes, image, weights, biases],
+        outputs=[labels, probabilities],
+        device=device,
+    )
+
+
+def classify_gaussians(
+    identities: Any, *, weights: Any, biases: Any, classes: int, labels: Any, probabilities: Any, device: Any
+) -> None:
+    """Write each Gaussian's most probable class and its softmax probability.
+
+    Args:
+        identities: [>= n] vec16.
+        weights, biases, classes: as of :func:`classify_pixels`.
+        labels: [n] int, written; -1 where no logit is finite.
+        probabilities: [n] float, written.
+        device: a Warp device.
+    """
+    launch_split(
+        _gaussians_kernel,
+        labels.shape[0],
+        inputs=[classes, identities, weights, biases],
+        outputs=[labels, probabilities],
+        device=device,
+    )
