@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compiling and loading kernels ahead of their first launch.
+
+Warp compiles a module when one of its kernels is first launched, one module after another. Doing it
+beforehand uses all cores, can be announced, and keeps threads from compiling at once.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import pkgutil
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import warp as wp
+
+import ggwarp.kernels
+
+
+def kernel_modules(*, imported_only: bool = True) -> list[Any]:
+    """Return this package's Warp modules that hold kernels, by name.
+
+    Args:
+        imported_only: leave out Python modules that nothing has imported; else import them all.
+    """
+    names = [f"ggwarp.kernels.{m.name}" for m in pkgutil.iter_modules(ggwarp.kernels.__path__)]
+    if imported_only:
+        names = [n for n in names if n in sys.modules]
+    else:
+        for name in names:
+            importlib.import_module(name)
+    modules = [wp.get_module(name) for name in sorted(names)]
+    return [m for m in modules if m.kernels]
+
+
+def uncompiled(modules: list[Any], device: Any) -> list[Any]:
+    """Return those of ``modules`` that Warp's cache does not hold for ``device``."""
+    wp.init()
+    suffixes = (".o",) if wp.get_device(device).is_cpu else (".cubin", ".ptx")
+    missing = []
+    for module in modules:
+        folder = Path(wp.config.kernel_cache_dir) / module.get_module_identifier()
+        if not any(path.suffix in suffixes for path in folder.glob("*")):
+            missing.append(module)
+    return missing
+
+
+def load(modules: list[Any], device: Any) -> None:
+    """Load ``modules`` on ``device``, compiling what is not in the cache, on all cores."""
+    if modules:
+        wp.force_load(device=device, modules=modules, max_workers=os.cpu_count() or 1)
+
+
+def init_quietly() -> None:
+    """Start Warp without its greeting, and without its warning where there is no NVIDIA driver."""
+    wp.config.log_level = wp.LOG_WARNING
+    sys.stderr.flush()
+    kept = os.dup(2)
+    with tempfile.TemporaryFile() as said:
+        # The warning comes from native code: only the file descriptor can hold it back.
+        os.dup2(said.fileno(), 2)
+        try:
+            wp.init()
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+        said.seek(0)
+        lines = said.read().decode(errors="replace").splitlines()
+    for line in lines:
+        if "Could not find or load the NVIDIA CUDA driver" not in line:
+            print(line, file=sys.stderr)
