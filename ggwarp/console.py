@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the command shows: progress, notes, warnings, the closing table.
+
+On a terminal a live progress line and a table; elsewhere plain lines, one every few seconds, and
+``key value`` at the end. Results and progress go to standard output, warnings and errors to
+standard error.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+import time
+from typing import Any, Protocol
+
+from rich.console import Console
+from rich.logging import RichHandler
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    SpinnerColumn,
+    TextColumn,
+    TimeRemainingColumn,
+)
+from rich.table import Table
+
+_log = logging.getLogger(__name__)
+
+_PLAIN_INTERVAL = 5.0  # seconds between progress lines where there is no terminal
+
+
+class Display(Protocol):
+    """Shows a run to its user."""
+
+    def note(self, line: str) -> None:
+        """Say one thing."""
+        ...
+
+    def warn(self, line: str) -> None:
+        """Say that something is amiss."""
+        ...
+
+    def stage(self, name: str, total: int | None = None) -> None:
+        """Begin a stage of ``total`` steps (None: unknown), ending the one before."""
+        ...
+
+    def advance(self, status: str = "") -> None:
+        """Count a step of the stage and show how it stands."""
+        ...
+
+    def close(self) -> None:
+        """End the progress display; safe to call twice."""
+        ...
+
+    def results(self, metrics: dict[str, Any], groups: dict[str, list[str]]) -> None:
+        """Show ``metrics``, a table with a section for each of ``groups`` (title -> keys)."""
+        ...
+
+
+def open_display() -> Display:
+    """Return the display that suits standard output, and send the log's warnings to the user."""
+    console, errors = Console(), Console(stderr=True)
+    terminal = console.is_terminal
+    handler: logging.Handler
+    if terminal:
+        handler = RichHandler(console=errors, show_time=False, show_path=False)
+    else:
+        handler = logging.StreamHandler(sys.stderr)
+        handler.setFormatter(logging.Formatter("%(levelname)s: %(message)s"))
+    log = logging.getLogger("ggwarp")
+    log.handlers = [handler]
+    log.setLevel(logging.INFO)
+    return TerminalDisplay(console) if terminal else PlainDisplay()
+
+
+class TerminalDisplay:
+    """A live progress line and a table."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._progress = Progress(
+            SpinnerColumn(),
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=24),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+            TextColumn("{task.fields[status]}"),
+            console=console,
+            transient=True,
+        )
+        self._task: Any = None
+
+    def note(self, line: str) -> None:
+        self._console.print(line, highlight=False, markup=False)
+
+    def warn(self, line: str) -> None:
+        _log.warning("%s", line)
+
+    def stage(self, name: str, total: int | None = None) -> None:
+        self._progress.start()
+        if self._task is not None:
+            self._progress.remove_task(self._task)
+        self._task = self._progress.add_task(name, total=total, status="")
+
+    def advance(self, status: str = "") -> None:
+        self._progress.update(self._task, advance=1, status=status)
+
+    def close(self) -> None:
+        self._progress.stop()
+
+    def results(self, metrics: dict[str, Any], groups: dict[str, list[str]]) -> None:
+        table = Table(show_header=False, title=f"{metrics['sequence']} ({metrics['dataset']})")
+        table.add_column()
+        table.add_column(justify="right")
+        for title, keys in groups.items():
+            table.add_section()
+            table.add_row(f"[bold]{title}", "")
+            for key in keys:
+                table.add_row(key, _text(metrics[key]))
+        self._console.print(table)
+
+
+class PlainDisplay:
+    """Lines of text, for files and pipes."""
+
+    def __init__(self) -> None:
+        self._name, self._total, self._done = "", None, 0
+        self._started = self._shown = 0.0
+
+    def note(self, line: str) -> None:
+        print(line, flush=True)
+
+    def warn(self, line: str) -> None:
+        _log.warning("%s", line)
+
+    def stage(self, name: str, total: int | None = None) -> None:
+        self._name, self._total, self._done = name, total, 0
+        self._started = self._shown = time.monotonic()
+        print(name, flush=True)
+
+    def advance(self, status: str = "") -> None:
+        self._done += 1
+        now = time.monotonic()
+        if now - self._shown < _PLAIN_INTERVAL and self._done != self._total:
+            return
+        self._shown = now
+        parts = [f"{self._name}: {self._done}/{self._total}", status]
+        if self._total is not None and self._done < self._total:
+            parts.append(f"{(now - self._started) / self._done * (self._total - self._done):.0f} s left")
+        print(", ".join(p for p in parts if p), flush=True)
+
+    def close(self) -> None:
+        pass
+
+    def results(self, metrics: dict[str, Any], groups: dict[str, list[str]]) -> None:
+        for key in [k for keys in groups.values() for k in keys]:
+            print(f"{key} {_text(metrics[key])}", flush=True)
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, float):
+        return f"{value:.4g}" if abs(value) < 1.0 else f"{value:.2f}"
+    return f"{value:,}" if isinstance(value, int) else str(value)

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Frozen dataclasses to TOML and back: nested ones become sections, None is left out.
+
+Reading is strict: an unknown key or a value of the wrong type is an error that names it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+import types
+import typing
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+from ggwarp.io.atomic import atomic_write
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib  # pyright: ignore[reportMissingImports]
+
+T = TypeVar("T")
+
+
+class TomlError(ValueError):
+    """A TOML file cannot be used: one line with the file, the key and the remedy."""
+
+
+def write_toml(config: Any, path: Path) -> None:
+    """Write the dataclass ``config`` to ``path``; values that are None are left out."""
+    with atomic_write(path) as file:
+        file.write(("\n".join(_lines(config, "")) + "\n").encode())
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Read ``path`` as plain values.
+
+    Raises:
+        TomlError: the file is missing, unreadable or not TOML.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise TomlError(f"{path}: no such file") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
+        raise TomlError(f"{path}: {error}") from None
+
+
+def merged(default: T, values: dict[str, Any], *, where: str, prefix: str = "") -> T:
+    """Return the dataclass ``default`` with ``values`` put in.
+
+    Args:
+        values: field name -> value, with a dictionary for each nested dataclass.
+        where: the file's name, for messages.
+        prefix: the section these values stand in, with its dot, for messages.
+
+    Raises:
+        TomlError: a key is unknown or a value has the wrong type.
+    """
+    hints = typing.get_type_hints(type(default))
+    known = [f.name for f in dataclasses.fields(default)]  # pyright: ignore[reportArgumentType]
+    changes: dict[str, Any] = {}
+    for key, value in values.items():
+        name = prefix + key
+        if key not in known:
+            raise TomlError(f"{where}: unknown key {name!r}; known here: {', '.join(sorted(known))}")
+        current = getattr(default, key)
+        if not dataclasses.is_dataclass(current):
+            changes[key] = _converted(value, hints[key], f"{where}: {name} = {value!r}")
+        elif isinstance(value, dict):
+            changes[key] = merged(current, value, where=where, prefix=f"{name}.")
+        else:
+            raise TomlError(f"{where}: {name} = {value!r}, but a section [{name}] is needed")
+    return dataclasses.replace(default, **changes)  # pyright: ignore[reportArgumentType, reportReturnType]
+
+
+def _lines(config: Any, section: str) -> list[str]:
+    lines: list[str] = []
+    nested: list[str] = []
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        if dataclasses.is_dataclass(value):
+            name = f"{section}.{field.name}" if section else field.name
+            nested += ["", f"[{name}]", *_lines(value, name)]
+        elif value is not None:
+            lines.append(f"{field.name} = {_text(value)}")
+    return lines + nested
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, (int, float)):
+        return repr(value)  # also inf and nan: TOML spells them alike
+    if isinstance(value, (str, Path)):
+        return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, (tuple, list)):
+        return "[" + ", ".join(_text(v) for v in value) + "]"
+    raise TypeError(f"no TOML for {value!r}")
+
+
+def _converted(value: Any, hint: Any, what: str) -> Any:
+    """Return ``value`` as the type ``hint``; ``what`` begins the message when it is another."""
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin is Literal:
+        if value in arguments:
+            return value
+        raise TomlError(f"{what}, but one of {', '.join(map(str, arguments))} is needed")
+    if origin in (typing.Union, types.UnionType):
+        return _converted(value, next(a for a in arguments if a is not type(None)), what)
+    if origin is tuple and isinstance(value, list):
+        items = [arguments[0]] * len(value) if arguments[1:] == (...,) else list(arguments)
+        if len(items) == len(value):
+            return tuple(_converted(v, h, what) for v, h in zip(value, items, strict=True))
+    if hint is float and isinstance(value, (int, float)) and not isinstance(value, bool):
+        return float(value)
+    if hint is Path and isinstance(value, str):
+        return Path(value)
+    if hint in (int, bool, str) and type(value) is hint:
+        return value
+    raise TomlError(f"{what}, but {getattr(hint, '__name__', hint)} is needed")

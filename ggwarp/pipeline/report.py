@@ -1,0 +1,279 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The run folder: what a run leaves, file by file.
+
+``trajectory.txt``, ``trajectory_gt.txt``, ``map.ply``, ``objects.json``, ``metrics.json``,
+``frames.csv`` and ``renders/``; the command adds ``config.toml``.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import os
+import re
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ggwarp.evaluation.evaluate import Evaluation, Scores
+from ggwarp.evaluation.trajectory import TrajectoryError, absolute_error, relative_error
+from ggwarp.io.atomic import atomic_write
+from ggwarp.io.ply import PlyGaussians, write_ply
+from ggwarp.io.trajectory import write_tum
+from ggwarp.objects.inventory import inventory
+from ggwarp.types import Float64, StepReport
+
+_OUTPUTS = (
+    "config.toml",
+    "trajectory.txt",
+    "trajectory_gt.txt",
+    "map.ply",
+    "objects.json",
+    "metrics.json",
+    "frames.csv",
+)
+
+FRAME_COLUMNS: tuple[str, ...] = (
+    "index",
+    "timestamp",
+    "verdict",
+    "reason",
+    "overlap",
+    "rmse_mm",
+    "keyframe",
+    "tracking_ms",
+    "mapping_ms",
+    "mapping_iterations",
+    "gaussians",
+    "loss",
+    "ate_cm",
+    "held_out",
+    "psnr",
+    "ssim",
+    "lpips",
+    "depth_l1_cm",
+)
+"""Columns of ``frames.csv``; empty = not measured."""
+
+
+@dataclass
+class RunRecord:
+    """What a run gathers on its way, the map itself aside.
+
+    Attributes:
+        sequence: its name. dataset: its kind. device: "cpu" or "cuda:N".
+        reports: one a processed frame, in order.
+        truth: index -> [4, 4] true camera-to-world pose, where known.
+        skipped: index -> why the frame could not be used.
+        counts: tracking_keyframes, mapping_keyframes, frames_lost.
+        loop_s: seconds from the first frame's arrival to the last one's end.
+        evaluation: pictures and objects against the frames; empty when not done.
+    """
+
+    sequence: str
+    dataset: str
+    device: str
+    reports: list[StepReport] = field(default_factory=list)
+    truth: dict[int, Float64] = field(default_factory=dict)
+    skipped: dict[int, str] = field(default_factory=dict)
+    counts: dict[str, int] = field(default_factory=dict)
+    loop_s: float = 0.0
+    evaluation: Evaluation = field(default_factory=Evaluation)
+
+    def poses(self) -> dict[int, Float64]:
+        """Return index -> [4, 4] estimated camera-to-world pose."""
+        return {r.index: r.T_wc for r in self.reports}
+
+
+def create_run_folder(out: Path | None, sequence: str) -> Path:
+    """Make the folder of a run and return it; an earlier run's files in it are removed.
+
+    Args:
+        out: the folder; None: ``runs/<sequence>/<UTC time>``, with a link ``runs/latest``.
+
+    Raises:
+        OSError: it cannot be made or written to.
+    """
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+        _remove_outputs(out)
+        return out
+    stamp = time.strftime("%Y-%m-%dT%H-%M-%SZ", time.gmtime())
+    parent = Path("runs") / (re.sub(r"[^\w.-]+", "_", sequence) or "sequence")
+    parent.mkdir(parents=True, exist_ok=True)
+    folder, again = parent / stamp, 1
+    while True:
+        try:
+            folder.mkdir()
+            break
+        except FileExistsError:
+            again += 1
+            folder = parent / f"{stamp}-{again}"
+    _link_latest(folder)
+    return folder
+
+
+def write_trajectories(folder: Path, record: RunRecord) -> None:
+    """Write ``trajectory.txt`` and, where any true pose is known, ``trajectory_gt.txt``."""
+    reports = record.reports
+    write_tum(folder / "trajectory.txt", [r.timestamp for r in reports], [r.T_wc for r in reports])
+    known = [r for r in reports if r.index in record.truth]
+    if known:
+        poses = [record.truth[r.index] for r in known]
+        write_tum(folder / "trajectory_gt.txt", [r.timestamp for r in known], poses)
+
+
+def write_map(folder: Path, gaussians: PlyGaussians) -> None:
+    """Write ``map.ply`` and ``objects.json``."""
+    write_ply(folder / "map.ply", **vars(gaussians))
+    objects = inventory(gaussians.means, gaussians.colours, gaussians.object_ids)
+    _write_json(folder / "objects.json", {"objects": objects})
+
+
+def write_frames(folder: Path, record: RunRecord) -> None:
+    """Write ``frames.csv``: a row for every frame of the run, skipped ones included."""
+    scores = {s.index: s for s in record.evaluation.per_frame}
+    errors = _ate_per_frame(record)
+    rows: dict[int, dict[str, Any]] = {
+        index: {"index": index, "verdict": "skipped", "reason": reason}
+        for index, reason in record.skipped.items()
+    }
+    for r in record.reports:
+        row: dict[str, Any] = {name: getattr(r, name) for name in FRAME_COLUMNS if hasattr(r, name)}
+        row |= {"verdict": r.verdict.value, "rmse_mm": 1e3 * r.rmse}
+        row["ate_cm"] = errors.get(r.index)
+        score = scores.get(r.index)
+        if score is not None:
+            row |= {name: getattr(score, name) for name in FRAME_COLUMNS if hasattr(score, name)}
+            row["held_out"] = int(score.held_out)
+        rows[r.index] = row
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, FRAME_COLUMNS, restval="")
+    writer.writeheader()
+    for index in sorted(rows):
+        writer.writerow({k: _cell(v) for k, v in rows[index].items()})
+    _write(folder / "frames.csv", text.getvalue())
+
+
+def write_metrics(folder: Path, metrics: Mapping[str, Any]) -> None:
+    """Write ``metrics.json``; what was not measured is null."""
+    _write_json(folder / "metrics.json", metrics)
+
+
+def metrics_of(record: RunRecord, *, wall_s: float, gaussians: int) -> dict[str, Any]:
+    """Return the run's figures under their names in ``metrics.json``; None = not measured.
+
+    ``fps`` is frames over the time of the tracking and mapping loop; ``tracking_ms`` and
+    ``mapping_ms`` are means per frame; ``wall_s`` runs from the command's start.
+    """
+    reports = record.reports
+    ate, rpe = _trajectory_errors(record)
+    return {
+        "sequence": record.sequence,
+        "dataset": record.dataset,
+        "device": record.device,
+        "frames": len(reports),
+        "fps": len(reports) / record.loop_s if reports and record.loop_s > 0.0 else None,
+        "wall_s": wall_s,
+        "tracking_ms": _mean(r.tracking_ms for r in reports),
+        "mapping_ms": _mean(r.mapping_ms for r in reports),
+        "mapping_iterations": sum(r.mapping_iterations for r in reports),
+        "ate_rmse_cm": None if ate is None else 100.0 * ate.rmse,
+        "ate_mean_cm": None if ate is None else 100.0 * ate.mean,
+        "rpe_rmse_cm": None if rpe is None else 100.0 * rpe.rmse,
+        **_image_metrics(record.evaluation.all_frames, ""),
+        **_image_metrics(record.evaluation.held_out, "heldout_"),
+        "heldout_frames": record.evaluation.held_out.frames if record.evaluation.per_frame else None,
+        "gaussians": gaussians,
+        "tracking_keyframes": record.counts.get("tracking_keyframes", 0),
+        "mapping_keyframes": record.counts.get("mapping_keyframes", 0),
+        "frames_lost": record.counts.get("frames_lost", 0),
+        "frames_skipped": len(record.skipped),
+        "peak_memory_mb": peak_memory_mb(),
+    }
+
+
+def peak_memory_mb() -> float | None:
+    """Return the most memory this process has held, MiB; None where the system does not say."""
+    try:
+        import resource
+        import sys
+    except ImportError:
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (1 << 20 if sys.platform == "darwin" else 1 << 10)
+
+
+def _image_metrics(scores: Scores, prefix: str) -> dict[str, float | None]:
+    names = ("psnr", "ssim", "lpips", "depth_l1_cm", "miou", "pixel_accuracy")
+    return {prefix + name: getattr(scores, name) for name in names}
+
+
+def _trajectory_errors(record: RunRecord) -> tuple[TrajectoryError | None, TrajectoryError | None]:
+    known = [r for r in record.reports if r.index in record.truth]
+    if not known:
+        return None, None
+    estimated = np.stack([r.T_wc for r in known])
+    true = np.stack([record.truth[r.index] for r in known])
+    return absolute_error(estimated, true), relative_error(estimated, true)
+
+
+def _ate_per_frame(record: RunRecord) -> dict[int, float]:
+    ate, _ = _trajectory_errors(record)
+    known = [r.index for r in record.reports if r.index in record.truth]
+    return {} if ate is None else dict(zip(known, (100.0 * ate.per_frame).tolist(), strict=True))
+
+
+def _mean(values: Iterable[float]) -> float | None:
+    listed = list(values)
+    return float(np.mean(listed)) if listed else None
+
+
+def _cell(value: Any) -> Any:
+    if isinstance(value, float):
+        return f"{value:.6f}" if math.isfinite(value) else ""
+    return "" if value is None else value
+
+
+def _write_json(path: Path, value: Any) -> None:
+    _write(path, json.dumps(_finite(value), indent=2) + "\n")
+
+
+def _write(path: Path, text: str) -> None:
+    with atomic_write(path) as file:
+        file.write(text.encode())
+
+
+def _finite(value: Any) -> Any:
+    """Replace what JSON has no word for by null."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, Mapping):
+        return {k: _finite(v) for k, v in value.items()}
+    if isinstance(value, list):
+        return [_finite(v) for v in value]
+    return value
+
+
+def _remove_outputs(folder: Path) -> None:
+    for name in _OUTPUTS:
+        (folder / name).unlink(missing_ok=True)
+    for path in (folder / "renders").glob("frame[0-9]*_*.png"):
+        path.unlink()
+
+
+def _link_latest(folder: Path) -> None:
+    link = Path("runs") / "latest"
+    try:
+        if link.is_symlink():
+            link.unlink()
+        if not link.exists():
+            link.symlink_to(os.path.relpath(folder, link.parent), target_is_directory=True)
+    except OSError:
+        pass  # a file system without links: the run itself does not need it

@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command: ``python -m ggwarp.run --seq office0``."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+import ggwarp
+from ggwarp.config import (
+    ConfigError,
+    RunConfig,
+    check,
+    device_name,
+    frame_indices,
+    image_scale,
+    load_config,
+    preset_config,
+)
+from ggwarp.console import Display, open_display
+from ggwarp.datasets import BUILT_IN, Dataset, DatasetError, FrameReader, open_dataset
+from ggwarp.io.toml import write_toml
+from ggwarp.kernels import loading
+from ggwarp.pipeline import report
+from ggwarp.pipeline.scheduler import LiveScheduler, Scheduler
+from ggwarp.pipeline.slam import Slam
+from ggwarp.session import Interruption, evaluate, load_kernels, save, track_and_map
+
+USER_ERROR = 2
+INTERRUPTED = 130
+
+RESULTS = {
+    "trajectory": ["frames", "frames_lost", "frames_skipped", "ate_rmse_cm", "ate_mean_cm", "rpe_rmse_cm"],
+    "picture, all frames": ["psnr", "ssim", "lpips", "depth_l1_cm", "miou"],
+    "picture, held-out frames": [
+        "heldout_psnr",
+        "heldout_ssim",
+        "heldout_lpips",
+        "heldout_depth_l1_cm",
+        "heldout_miou",
+    ],
+    "map": ["gaussians", "tracking_keyframes", "mapping_keyframes", "mapping_iterations"],
+    "time and memory": ["fps", "tracking_ms", "mapping_ms", "wall_s", "peak_memory_mb"],
+}
+"""What the closing table shows, and in which order."""
+
+
+@dataclass(frozen=True)
+class Command:
+    """Object-level RGB-D Gaussian-splatting SLAM."""
+
+    run: Annotated[RunConfig, tyro.conf.arg(name="")]
+    config: Path | None = None
+    """A saved config.toml to start from, instead of a preset."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit code: 0, 2 (the user's mistake) or 130 (Ctrl-C)."""
+    started = time.perf_counter()
+    display: Display | None = None
+    try:
+        config = parse(sys.argv[1:] if arguments is None else list(arguments))
+        display = open_display()
+        with Interruption() as interruption:
+            return execute(config, display, interruption, started)
+    except (ConfigError, DatasetError) as error:
+        return _refuse(display, str(error))
+    except MemoryError:
+        return _refuse(display, "out of memory: try a smaller --scale, or fewer --frames")
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        return _refuse(display, f"{where}{error.strerror or error}")
+    except KeyboardInterrupt:
+        return _refuse(display, "interrupted; nothing was saved", INTERRUPTED)
+
+
+def parse(arguments: list[str]) -> RunConfig:
+    """Return the configuration that the command line asks for.
+
+    Options override the file given by ``--config``, or else the preset.
+
+    Raises:
+        ConfigError: an option cannot be used.
+    """
+    first = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+    first.add_argument("--config", type=Path)
+    first.add_argument("--preset")
+    try:
+        start, _ = first.parse_known_args(arguments)
+    except argparse.ArgumentError:
+        start = argparse.Namespace(config=None, preset=None)  # tyro says what is wrong
+    if start.config is not None and start.preset is not None:
+        raise ConfigError("--config and --preset: give one of them; a saved configuration has its preset")
+    base = load_config(start.config) if start.config is not None else preset_config(start.preset or "gg-slam")
+    command = tyro.cli(Command, prog="ggwarp", args=arguments, default=Command(base, start.config))
+    check(command.run)
+    return command.run
+
+
+def execute(config: RunConfig, display: Display, interruption: Interruption, started: float) -> int:
+    """Run ``config`` from the data to the table of results; return the exit code."""
+    display.note(f"ggwarp {ggwarp.__version__}: {config.seq}, preset {config.preset}")
+    loading.init_quietly()
+    device = device_name(config.device)
+    assert config.seq is not None, "check() has seen to it"
+    dataset = open_dataset(config.seq, data_root=config.data_root(), masks=config.masks)
+    if not len(dataset):
+        raise DatasetError(f"{config.seq}: the sequence is empty")
+    if not dataset.has_depth:
+        raise DatasetError(f"{config.seq}: the sequence has no depth images, which mapping needs")
+    indices = frame_indices(config.frames, len(dataset))
+    scale = image_scale(config.scale, dataset.camera, device)
+    every = max(1, -(-len(indices) // 10)) if config.save_renders is None else config.save_renders
+    config = dataclasses.replace(config, device=device, scale=scale, save_renders=every)
+    folder = report.create_run_folder(config.out, dataset.name)
+    write_toml(dataclasses.replace(config, out=None), folder / "config.toml")
+    _introduce(config, dataset, len(indices), display)
+
+    reader = FrameReader(dataset, indices, scale=scale)
+    scheduler: Scheduler | None = None if config.fps is None else LiveScheduler(config.fps)
+    slam = Slam(config.slam(), reader.camera, reader.sensor_camera, device=device, scheduler=scheduler)
+    load_kernels(device, display)
+    record = report.RunRecord(dataset.name, dataset.kind, device)
+    with reader:
+        kept = track_and_map(slam, reader, record, display, interruption)
+    if not record.reports:
+        if interruption.requested:
+            raise KeyboardInterrupt
+        first = next(iter(record.skipped.values()))
+        raise DatasetError(f"{dataset.name}: no frame could be used; the first: {first}")
+    evaluate(slam, reader, kept, record, folder, display, interruption, every=every)
+    display.stage("saving")
+    metrics = save(slam, record, folder, started)
+    display.close()
+    if interruption.requested:
+        display.note(f"interrupted after {len(record.reports)} of {len(indices)} frames; saved in {folder}")
+        return INTERRUPTED
+    display.results(metrics, RESULTS)
+    display.note(f"results in {folder}")
+    return 0
+
+
+def _introduce(config: RunConfig, dataset: Dataset, frames: int, display: Display) -> None:
+    if dataset.kind == "synthetic" and config.seq not in BUILT_IN:
+        display.note(
+            f"{config.seq} is not under {config.data_root()}: using the built-in synthetic office instead "
+            f"(the real one: python tools/download.py replica {config.seq})"
+        )
+    size, native = dataset.camera.scaled(config.scale or 1.0), dataset.camera
+    display.note(
+        f"{frames} frames on {config.device} at {size.width}x{size.height} "
+        f"(--scale {config.scale:g} of {native.width}x{native.height})"
+    )
+
+
+def _refuse(display: Display | None, message: str, code: int = USER_ERROR) -> int:
+    if display is not None:
+        display.close()
+    print(f"ggwarp: {message}", file=sys.stderr)
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

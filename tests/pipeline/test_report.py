@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: Apache-2.0
+import csv
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from ggwarp.evaluation.evaluate import Evaluation, FrameScore, Scores
+from ggwarp.io.ply import PlyGaussians, read_ply
+from ggwarp.io.trajectory import read_tum
+from ggwarp.pipeline import renders, report
+from ggwarp.types import Rendered, StepReport, Verdict
+
+KEYS = (
+    "sequence dataset device frames fps wall_s tracking_ms mapping_ms mapping_iterations ate_rmse_cm "
+    "ate_mean_cm psnr ssim lpips depth_l1_cm miou gaussians tracking_keyframes mapping_keyframes frames_lost "
+    "frames_skipped peak_memory_mb heldout_psnr heldout_ssim heldout_lpips heldout_depth_l1_cm heldout_miou"
+).split()
+
+
+def _pose(x: float) -> np.ndarray:
+    T = np.eye(4)
+    T[0, 3] = x
+    return T
+
+
+def _step(index: int, x: float, verdict: Verdict = Verdict.CONVERGED, loss: float = 0.5) -> StepReport:
+    return StepReport(index, index / 30, _pose(x), verdict, "", 0.9, 0.001, "", 10.0, 30.0, 4, 100, loss)
+
+
+@pytest.fixture
+def record() -> report.RunRecord:
+    """Three of four frames, one of them without a true pose."""
+    return report.RunRecord(
+        "office",
+        "synthetic",
+        "cpu",
+        reports=[_step(0, 0.0), _step(2, 0.1), _step(3, 0.2, Verdict.LOST, float("nan"))],
+        truth={0: _pose(0.0), 3: _pose(0.24)},
+        skipped={1: "frame000001.jpg: damaged"},
+        counts={"tracking_keyframes": 1, "mapping_keyframes": 1, "frames_lost": 1},
+        loop_s=1.5,
+    )
+
+
+def test_metrics(record):
+    record.evaluation = Evaluation(
+        Scores(3, 30.0, 0.9, None, 1.0, 0.8, 0.95),
+        Scores(1, 28.0),
+        [FrameScore(0, False, 30.0, 0.9, None, 1.0)],
+    )
+    metrics = report.metrics_of(record, wall_s=9.0, gaussians=123)
+    assert set(KEYS) <= set(metrics)
+    assert metrics["frames"] == 3 and metrics["fps"] == 2.0 and metrics["wall_s"] == 9.0
+    assert metrics["tracking_ms"] == 10.0 and metrics["mapping_ms"] == 30.0
+    assert metrics["mapping_iterations"] == 12 and metrics["gaussians"] == 123
+    assert metrics["ate_rmse_cm"] == pytest.approx(2.0)  # 4 cm between two poses, shared by alignment
+    assert metrics["ate_mean_cm"] == pytest.approx(2.0)
+    assert metrics["frames_lost"] == 1 and metrics["frames_skipped"] == 1
+    assert metrics["psnr"] == 30.0 and metrics["heldout_psnr"] == 28.0 and metrics["heldout_frames"] == 1
+    assert metrics["lpips"] is None and metrics["heldout_miou"] is None
+    assert metrics["peak_memory_mb"] > 10.0
+
+
+def test_what_was_not_measured_is_null(tmp_path):
+    metrics = report.metrics_of(report.RunRecord("s", "folder", "cpu"), wall_s=1.0, gaussians=0)
+    report.write_metrics(tmp_path, {**metrics, "psnr": float("inf")})
+    read = json.loads((tmp_path / "metrics.json").read_text())
+    for key in (
+        "fps",
+        "tracking_ms",
+        "ate_rmse_cm",
+        "psnr",
+        "ssim",
+        "miou",
+        "heldout_psnr",
+        "heldout_frames",
+    ):
+        assert read[key] is None
+
+
+def test_trajectories(record, tmp_path):
+    report.write_trajectories(tmp_path, record)
+    stamps, poses = read_tum(tmp_path / "trajectory.txt")
+    np.testing.assert_allclose(stamps, [0, 2 / 30, 3 / 30], atol=1e-6)
+    np.testing.assert_allclose(poses[:, 0, 3], [0, 0.1, 0.2])
+    stamps, poses = read_tum(tmp_path / "trajectory_gt.txt")
+    np.testing.assert_allclose(poses[:, 0, 3], [0, 0.24])
+
+
+def test_no_truth_no_file(record, tmp_path):
+    record.truth = {}
+    report.write_trajectories(tmp_path, record)
+    assert not (tmp_path / "trajectory_gt.txt").exists()
+    assert report.metrics_of(record, wall_s=1.0, gaussians=0)["ate_rmse_cm"] is None
+
+
+def test_a_row_for_every_frame(record, tmp_path):
+    record.evaluation = Evaluation(per_frame=[FrameScore(2, True, 31.5, 0.9, None, 1.2)])
+    report.write_frames(tmp_path, record)
+    with (tmp_path / "frames.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [r["index"] for r in rows] == ["0", "1", "2", "3"]
+    assert [r["verdict"] for r in rows] == ["converged", "skipped", "converged", "lost"]
+    assert rows[1]["reason"] == "frame000001.jpg: damaged" and rows[1]["psnr"] == ""
+    assert rows[2]["held_out"] == "1" and float(rows[2]["psnr"]) == 31.5 and rows[2]["ate_cm"] == ""
+    assert rows[3]["loss"] == "" and float(rows[3]["ate_cm"]) == pytest.approx(2.0)
+    assert float(rows[0]["rmse_mm"]) == pytest.approx(1.0)
+
+
+def test_map_and_objects(rng, tmp_path):
+    n = 50
+    gaussians = PlyGaussians(
+        means=rng.normal(size=(n, 3)).astype(np.float32),
+        quats=np.tile(np.float32([1, 0, 0, 0]), (n, 1)),
+        log_scales=np.full((n, 3), -4.0, np.float32),
+        opacity_logits=np.zeros(n, np.float32),
+        colours=np.zeros((n, 3), np.float32),
+        object_ids=np.repeat([0, 5], n // 2).astype(np.int32),
+    )
+    report.write_map(tmp_path, gaussians)
+    np.testing.assert_array_equal(read_ply(tmp_path / "map.ply").means, gaussians.means)
+    objects = json.loads((tmp_path / "objects.json").read_text())["objects"]
+    assert [(o["id"], o["count"]) for o in objects] == [(5, 25)]
+
+
+def test_run_folders(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    one = report.create_run_folder(None, "fr1/xyz")
+    two = report.create_run_folder(None, "fr1/xyz")
+    assert one != two and one.parent == two.parent == Path("runs/fr1_xyz")
+    assert Path("runs/latest").resolve() == two.resolve()
+    given = report.create_run_folder(Path("a/b"), "x")
+    assert given == Path("a/b") and given.is_dir()
+
+
+def test_an_earlier_run_leaves_nothing_behind(tmp_path):
+    (tmp_path / "renders").mkdir()
+    for name in ("trajectory_gt.txt", "renders/frame000007_rgb.png", "renders/mine.png", "notes.txt"):
+        (tmp_path / name).write_text("old")
+    report.create_run_folder(tmp_path, "x")
+    left = {str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*") if p.is_file()}
+    assert left == {"renders/mine.png", "notes.txt"}
+
+
+def _read(path: Path) -> np.ndarray:
+    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    assert image is not None
+    return image
+
+
+def test_renders(rng, tmp_path):
+    shape = (6, 8)
+    objects = np.zeros(shape, np.int32)
+    objects[0, 0] = 300
+    identity = rng.normal(size=(*shape, 16)).astype(np.float32)
+    view = Rendered(
+        rgb=np.broadcast_to(np.float32([1.0, 0.5, 0.0]), (*shape, 3)),
+        depth=np.full(shape, 1.2345, np.float32),
+        median_depth=np.zeros(shape, np.float32),
+        opacity=np.ones(shape, np.float32),
+        identity=identity,
+        objects=objects,
+    )
+    writer = renders.RenderWriter(tmp_path / "renders", identity.reshape(-1, 16))
+    writer.write(42, view)
+    files = {p.name for p in (tmp_path / "renders").iterdir()}
+    assert files == {f"frame000042_{w}.png" for w in ("rgb", "depth", "objects", "features")}
+    assert _read(tmp_path / "renders/frame000042_rgb.png")[0, 0].tolist() == [0, 128, 255]  # BGR
+    depth = _read(tmp_path / "renders/frame000042_depth.png")
+    assert depth.dtype == np.uint16 and np.isin(depth, (1234, 1235)).all()
+    ids = _read(tmp_path / "renders/frame000042_objects.png")
+    assert ids.dtype == np.uint16 and ids[0, 0] == 300 and ids.sum() == 300
+
+
+def test_depth_that_has_no_place_in_16_bits():
+    depth = np.array([[np.nan, np.inf, -1.0, 70.0, 0.001]], np.float32)
+    assert renders.depth_to_millimetres(depth).tolist() == [[0, 0, 0, 65535, 1]]
+
+
+def test_feature_colours_do_not_depend_on_the_eigenvectors_sign(rng):
+    identities = rng.normal(size=(500, 16)).astype(np.float32) * np.linspace(2, 0.1, 16, dtype=np.float32)
+    mean, axes = renders.feature_basis(identities)
+    shuffled_mean, shuffled_axes = renders.feature_basis(identities[rng.permutation(500)])
+    np.testing.assert_allclose(mean, shuffled_mean, atol=1e-5)
+    np.testing.assert_allclose(axes, shuffled_axes, atol=1e-4)
+    image = renders.feature_image(identities.reshape(20, 25, 16), (mean, axes))
+    assert image.shape == (20, 25, 3) and image.std() > 30

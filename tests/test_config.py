@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+import dataclasses
+import typing
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ggwarp import config as c
+from ggwarp.io.toml import write_toml
+from ggwarp.types import Camera
+
+PRESETS = ["gg-slam", "gs-icp", "fast", "quality"]
+
+
+def _camera(width: int, height: int) -> Camera:
+    return Camera(width, height, 500.0, 500.0, width / 2, height / 2)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_saved_configurations_come_back(name, tmp_path):
+    config = dataclasses.replace(
+        c.preset_config(name), seq="a/b", data=Path("x y"), scale=0.25, frames=":9", save_renders=3
+    )
+    write_toml(config, tmp_path / "config.toml")
+    assert c.load_config(tmp_path / "config.toml") == config
+
+
+def test_presets_differ_where_they_say():
+    gg = c.preset_config("gg-slam")
+    assert gg == c.RunConfig() and gg.slam().use_identity
+    assert not c.preset_config("gs-icp").slam().use_identity
+    fast, quality = (c.preset_config(n).mapper.iterations for n in ("fast", "quality"))
+    assert fast < gg.mapper.iterations < quality
+
+
+def test_what_is_not_there_yet_says_so():
+    with pytest.raises(c.ConfigError, match="monogs: not available yet"):
+        c.preset_config("monogs")
+    with pytest.raises(c.ConfigError, match="no such preset"):
+        c.preset_config("nonsense")
+    for kind in set(typing.get_args(c.TrackerKind)) - {"gicp", "ground-truth"}:
+        with pytest.raises(c.ConfigError, match=f"{kind}: not available yet"):
+            c.check(c.RunConfig(seq="x", tracker=kind))
+
+
+def test_the_slam_part_is_composed():
+    config = c.RunConfig(tracker="ground-truth")
+    slam = config.slam()
+    assert slam.use_true_poses and not c.RunConfig().slam().use_true_poses
+    assert (slam.tracker, slam.keyframes, slam.mapper) == (config.gicp, config.keyframes, config.mapper)
+
+
+def test_a_file_starts_from_its_preset(tmp_path):
+    path = tmp_path / "c.toml"
+    path.write_text('preset = "gs-icp"\n[mapper]\niterations = 77\n')
+    config = c.load_config(path)
+    assert not config.use_identity and config.mapper.iterations == 77
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("sequence = 1", "unknown key 'sequence'"),
+        ("[mapper]\niteration = 1", "unknown key 'mapper.iteration'"),
+        ("scale = true", "scale = True"),
+        ('preset = "monogs"', "not available yet"),
+    ],
+)
+def test_mistakes_in_a_file_are_named(tmp_path, text, message):
+    path = tmp_path / "c.toml"
+    path.write_text(text)
+    with pytest.raises(c.ConfigError, match=message):
+        c.load_config(path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"seq": None}, "--seq is missing"),
+        ({"scale": 0.0}, "--scale 0"),
+        ({"scale": 1.5}, "--scale 1.5"),
+        ({"scale": float("nan")}, "--scale nan"),
+        ({"fps": 0.0}, "--fps 0"),
+        ({"fps": float("nan")}, "--fps nan"),
+        ({"save_renders": -1}, "--save-renders -1"),
+        ({"data": Path("/no/such/folder")}, "--data /no/such/folder: no such folder"),
+        ({"frames": "5"}, "--frames 5: expected"),
+        ({"frames": "a:b"}, "--frames a:b: expected"),
+        ({"frames": "0:9:0"}, "STEP is 0"),
+        ({"frames": "9:0:-1"}, "STEP is -1"),
+        ({"frames": "1:2:3:4"}, "expected"),
+    ],
+)
+def test_wrong_options_are_named(changes, message):
+    with pytest.raises(c.ConfigError, match=message):
+        c.check(dataclasses.replace(c.RunConfig(seq="x"), **changes))
+
+
+def test_data_root(monkeypatch):
+    monkeypatch.delenv("GGWARP_DATA", raising=False)
+    assert c.RunConfig().data_root() == Path("data")
+    monkeypatch.setenv("GGWARP_DATA", "/somewhere")
+    assert c.RunConfig().data_root() == Path("/somewhere")
+    assert c.RunConfig(data=Path("here")).data_root() == Path("here")
+
+
+_end = st.one_of(st.none(), st.integers(-20, 20))
+
+
+@given(begin=_end, end=_end, step=st.one_of(st.none(), st.integers(1, 5)), count=st.integers(1, 15))
+def test_frames_are_a_python_slice(begin, end, step, count):
+    text = ":".join("" if v is None else str(v) for v in (begin, end, step))
+    expected = range(count)[begin:end:step]
+    if expected:
+        assert c.frame_indices(text, count) == expected
+    else:
+        with pytest.raises(c.ConfigError, match="no frame left"):
+            c.frame_indices(text, count)
+    assert c.frame_indices(None, count) == range(count)
+
+
+def test_default_scale_on_a_cpu():
+    assert c.image_scale(None, _camera(1200, 680), "cpu") == 0.25
+    assert c.image_scale(None, _camera(640, 480), "cpu") == 0.4
+    assert c.image_scale(None, _camera(160, 120), "cpu") == 1.0
+    assert c.image_scale(None, _camera(1200, 680), "cuda:0") == 1.0
+    assert c.image_scale(0.7, _camera(1200, 680), "cpu") == 0.7
+    with pytest.raises(c.ConfigError, match="12x7 are too small"):
+        c.image_scale(0.01, _camera(1200, 680), "cpu")
+
+
+def test_devices():
+    assert c.device_name("cpu") == "cpu"
+    assert c.device_name("auto") in ("cpu", "cuda:0")
+    for name in ("cuda:99", "gpu"):
+        with pytest.raises(c.ConfigError, match=f"--device {name}: no such device; this machine has cpu"):
+            c.device_name(name)
