@@ -5,12 +5,12 @@ from typing import Any
 
 import warp as wp
 
+from ggwarp.kernels.identity import exp16, runs_by_rows
+from ggwarp.kernels.identity_pixels import IDENTITY_PLANE
 from ggwarp.kernels.launch import launch_split
 from ggwarp.kernels.math import vec16
 
 wp.set_module_options({"enable_backward": False})
-
-_PLANE = wp.constant(4)
 
 
 @wp.func
@@ -32,9 +32,55 @@ def _best_class(e: vec16, classes: int, weights: wp.array[vec16], biases: wp.arr
     return best, probability
 
 
+@wp.func
+def _logits(
+    image: wp.array3d[vec16], row: int, block: int, c: int, weights: wp.array[vec16], biases: wp.array[float]
+) -> vec16:
+    w = weights[c]
+    z = vec16(biases[c])
+    for k in range(16):
+        z += w[k] * image[IDENTITY_PLANE + k, row, block]
+    return z
+
+
+@wp.kernel
+def _rows_kernel(
+    offset: int,
+    classes: int,
+    image: wp.array3d[vec16],
+    weights: wp.array[vec16],
+    biases: wp.array[wp.float32],
+    labels: wp.array2d[wp.int32],
+    probabilities: wp.array2d[wp.float32],
+):
+    """CPU form: 16 pixels of a row at a time, the arg max by arithmetic."""
+    row = offset + wp.tid()
+    one = vec16(1.0)
+    for block in range(image.shape[2]):
+        largest = vec16(-1.0e30)
+        best = vec16(-1.0)
+        for c in range(classes):
+            z = _logits(image, row, block, c, weights, biases)
+            # 1 where z is larger, 0 elsewhere.
+            larger = wp.min(wp.max((z - largest) * 1.0e30, vec16()), one)
+            best += wp.cw_mul(larger, vec16(float(c)) - best)
+            largest = wp.max(largest, z)
+        total = vec16()
+        for c in range(classes):
+            total += exp16(_logits(image, row, block, c, weights, biases) - largest)
+        for lane in range(wp.min(16, labels.shape[1] - 16 * block)):
+            label = int(-1)
+            probability = float(0.0)
+            # False for NaN.
+            if best[lane] >= 0.0 and total[lane] >= 1.0:
+                label = int(best[lane])
+                probability = 1.0 / total[lane]
+            labels[row, 16 * block + lane] = label
+            probabilities[row, 16 * block + lane] = probability
+
+
 @wp.kernel
 def _pixels_kernel(
-    offset: int,
     classes: int,
     image: wp.array3d[wp.float32],
     weights: wp.array[vec16],
@@ -42,12 +88,12 @@ def _pixels_kernel(
     labels: wp.array2d[wp.int32],
     probabilities: wp.array2d[wp.float32],
 ):
-    item = offset + wp.tid()
+    item = wp.tid()
     row = item / labels.shape[1]
     column = item - row * labels.shape[1]
     e = vec16()
     for k in range(16):
-        e[k] = image[_PLANE + k, row, column]
+        e[k] = image[IDENTITY_PLANE + k, row, column]
     label, probability = _best_class(e, classes, weights, biases)
     labels[row, column] = label
     probabilities[row, column] = probability
@@ -75,20 +121,33 @@ def classify_pixels(
     """Write each pixel's most probable class and its softmax probability.
 
     Args:
-        image: [20, Hp, Wp] render; planes 4-19 are the identity.
+        image: [20, Hp, Wp] render, contiguous; planes 4-19 are the identity.
         weights: [>= classes] vec16; biases: [>= classes] float.
         classes: classes in use.
         labels: [H, W] int, written; -1 where no logit is finite.
         probabilities: [H, W] float, written.
         device: a Warp device.
     """
-    launch_split(
-        _pixels_kernel,
-        labels.shape[0] * labels.shape[1],
-        inputs=[classes, image, weights, biases],
-        outputs=[labels, probabilities],
-        device=device,
-    )
+    outputs = [labels, probabilities]
+    if runs_by_rows(device):
+        shape = (*image.shape[:2], image.shape[2] // 16)
+        blocks = wp.array(ptr=image.ptr, dtype=vec16, shape=shape, device=image.device)
+        launch_split(
+            _rows_kernel,
+            labels.shape[0],
+            inputs=[classes, blocks, weights, biases],
+            outputs=outputs,
+            device=device,
+            min_piece=8,
+        )
+    else:
+        wp.launch(
+            _pixels_kernel,
+            dim=labels.shape[0] * labels.shape[1],
+            inputs=[classes, image, weights, biases],
+            outputs=outputs,
+            device=device,
+        )
 
 
 def classify_gaussians(

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import warp as wp
 
+from ggwarp.kernels import classify
 from ggwarp.kernels.classify import classify_gaussians, classify_pixels
 from ggwarp.kernels.math import vec16
 
@@ -15,8 +16,11 @@ def softmax_best(e, w, b):
     return z.argmax(-1), (p / p.sum(-1, keepdims=True)).max(-1)
 
 
+@pytest.mark.parametrize("by_rows", [True, False])
 @pytest.mark.parametrize("classes", [1, 2, 30])
-def test_pixels_and_gaussians(rng, device, classes):
+def test_pixels_and_gaussians(rng, device, classes, by_rows, monkeypatch):
+    if device == "cpu":  # the form that CUDA takes, too
+        monkeypatch.setattr(classify, "runs_by_rows", lambda device: by_rows)
     height, width = 7, 21
     image = rng.standard_normal((20, 16, 32)).astype(np.float32)
     w, b = (
@@ -71,3 +75,17 @@ def test_nan_identity_and_none_at_all(device):
         probabilities=wp.zeros(0, dtype=wp.float32, device=device),
         **arguments,
     )
+
+
+def test_nan_pixel(rng):
+    image = rng.standard_normal((20, 16, 16)).astype(np.float32)
+    image[7, 3, 5] = np.nan
+    labels, probabilities = wp.zeros((10, 10), dtype=wp.int32), wp.zeros((10, 10), dtype=wp.float32)
+    weights = wp.array(rng.standard_normal((4, 16)).astype(np.float32), dtype=vec16)
+    biases = wp.zeros(4, dtype=wp.float32)
+    options = {"labels": labels, "probabilities": probabilities, "device": "cpu"}
+    classify_pixels(wp.array(image), weights=weights, biases=biases, classes=4, **options)
+    bad = np.zeros((10, 10), bool)
+    bad[3, 5] = True
+    np.testing.assert_array_equal(labels.numpy() < 0, bad)
+    np.testing.assert_array_equal(probabilities.numpy() == 0.0, bad)
