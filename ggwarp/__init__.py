@@ -1,4 +1,48 @@
 # SPDX-License-Identifier: Apache-2.0
 """Object-level RGB-D Gaussian-splatting SLAM on NVIDIA Warp kernels."""
 
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from ggwarp.config import RunConfig
+    from ggwarp.datasets import FrameReader, SyntheticOffice, open_dataset
+    from ggwarp.pipeline.slam import Slam, SlamConfig
+    from ggwarp.types import Camera, Frame, Rendered, StepReport, TrackResult, Verdict
+
 __version__ = "0.1.0"
+
+__all__ = [
+    "Camera",
+    "Frame",
+    "FrameReader",
+    "Rendered",
+    "RunConfig",
+    "Slam",
+    "SlamConfig",
+    "StepReport",
+    "SyntheticOffice",
+    "TrackResult",
+    "Verdict",
+    "__version__",
+    "open_dataset",
+]
+
+# Each is imported when first asked for, so that `import ggwarp` costs nothing.
+_HOMES = {
+    "RunConfig": "ggwarp.config",
+    "FrameReader": "ggwarp.datasets",
+    "SyntheticOffice": "ggwarp.datasets",
+    "open_dataset": "ggwarp.datasets",
+    "Slam": "ggwarp.pipeline.slam",
+    "SlamConfig": "ggwarp.pipeline.slam",
+    **dict.fromkeys(["Camera", "Frame", "Rendered", "StepReport", "TrackResult", "Verdict"], "ggwarp.types"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOMES:
+        return getattr(importlib.import_module(_HOMES[name]), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -9,12 +9,10 @@ standard error.
 from __future__ import annotations
 
 import logging
-import sys
 import time
 from typing import Any, Protocol
 
 from rich.console import Console
-from rich.logging import RichHandler
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
@@ -59,19 +57,27 @@ class Display(Protocol):
 
 
 def open_display() -> Display:
-    """Return the display that suits standard output, and send the log's warnings to the user."""
-    console, errors = Console(), Console(stderr=True)
-    terminal = console.is_terminal
-    handler: logging.Handler
-    if terminal:
-        handler = RichHandler(console=errors, show_time=False, show_path=False)
-    else:
-        handler = logging.StreamHandler(sys.stderr)
-        handler.setFormatter(logging.Formatter("%(levelname)s: %(message)s"))
+    """Return the display that suits standard output, and show what the library logs."""
+    console = Console()
     log = logging.getLogger("ggwarp")
-    log.handlers = [handler]
+    log.handlers = [_LogHandler(console, Console(stderr=True))]
     log.setLevel(logging.INFO)
-    return TerminalDisplay(console) if terminal else PlainDisplay()
+    return TerminalDisplay(console) if console.is_terminal else PlainDisplay()
+
+
+class _LogHandler(logging.Handler):
+    """Shows warnings on standard error and the rest on standard output, a line each."""
+
+    def __init__(self, output: Console, errors: Console) -> None:
+        super().__init__()
+        self._output, self._errors = output, errors
+
+    def emit(self, record: logging.LogRecord) -> None:
+        line = record.getMessage()
+        if record.levelno >= logging.WARNING:
+            _print(self._errors, f"warning: {line}")
+        else:
+            _print(self._output, line)
 
 
 class TerminalDisplay:
@@ -92,7 +98,7 @@ class TerminalDisplay:
         self._task: Any = None
 
     def note(self, line: str) -> None:
-        self._console.print(line, highlight=False, markup=False)
+        _print(self._console, line)
 
     def warn(self, line: str) -> None:
         _log.warning("%s", line)
@@ -156,6 +162,10 @@ class PlainDisplay:
     def results(self, metrics: dict[str, Any], groups: dict[str, list[str]]) -> None:
         for key in [k for keys in groups.values() for k in keys]:
             print(f"{key} {_text(metrics[key])}", flush=True)
+
+
+def _print(console: Console, line: str) -> None:
+    console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
 def _text(value: Any) -> str:

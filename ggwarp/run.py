@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import dataclasses
+import io
 import sys
 import time
 from collections.abc import Sequence
@@ -100,9 +102,27 @@ def parse(arguments: list[str]) -> RunConfig:
     if start.config is not None and start.preset is not None:
         raise ConfigError("--config and --preset: give one of them; a saved configuration has its preset")
     base = load_config(start.config) if start.config is not None else preset_config(start.preset or "gg-slam")
-    command = tyro.cli(Command, prog="ggwarp", args=arguments, default=Command(base, start.config))
+    complaint = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(complaint):
+            command = tyro.cli(Command, prog="ggwarp", args=arguments, default=Command(base, start.config))
+    except SystemExit as stop:
+        if stop.code == 0:  # --help
+            raise
+        raise ConfigError(f"{_first_sentence(complaint.getvalue())} (--help lists the options)") from None
     check(command.run)
     return command.run
+
+
+def _first_sentence(boxed: str) -> str:
+    """Return what tyro's box of several lines begins with, on one line."""
+    words: list[str] = []
+    for line in boxed.splitlines()[1:]:
+        text = line.strip("│╰╯─ ")
+        if not text and words:
+            break
+        words += text.split()
+    return " ".join(words).removesuffix(".") or boxed.strip()
 
 
 def execute(config: RunConfig, display: Display, interruption: Interruption, started: float) -> int:

@@ -94,3 +94,12 @@ def test_kernels_and_the_command_import_without_torch():
     loaded = _loaded_by(f"import {modules}")
     assert "warp" in loaded and not loaded & {"torch", "cv2", "skimage"}
     assert not _loaded_by("import ggwarp.run") & {"torch", "skimage", "scipy"}
+
+
+def test_public_names_are_there():
+    import ggwarp
+
+    for name in ggwarp.__all__:
+        assert getattr(ggwarp, name) is not None
+    with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
+        _ = ggwarp.nonsense

@@ -29,7 +29,7 @@ from ggwarp.io.trajectory import write_tum
 from ggwarp.objects.inventory import inventory
 from ggwarp.types import Float64, StepReport
 
-_OUTPUTS = (
+OUTPUTS = (
     "config.toml",
     "trajectory.txt",
     "trajectory_gt.txt",
@@ -38,6 +38,7 @@ _OUTPUTS = (
     "metrics.json",
     "frames.csv",
 )
+"""The files of a run folder, renders aside."""
 
 FRAME_COLUMNS: tuple[str, ...] = (
     "index",
@@ -262,7 +263,7 @@ def _finite(value: Any) -> Any:
 
 
 def _remove_outputs(folder: Path) -> None:
-    for name in _OUTPUTS:
+    for name in OUTPUTS:
         (folder / name).unlink(missing_ok=True)
     for path in (folder / "renders").glob("frame[0-9]*_*.png"):
         path.unlink()

@@ -1,0 +1,266 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command's manners, with a stand-in for the SLAM system: what it says, leaves and returns."""
+
+from __future__ import annotations
+
+import csv
+import errno
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+
+from ggwarp import config, run
+from ggwarp.io.ply import PlyGaussians, read_ply
+from ggwarp.io.trajectory import read_tum
+from ggwarp.pipeline import report
+from ggwarp.types import Rendered, StepReport, Verdict
+
+WIDTH, HEIGHT, FRAMES = 64, 48, 6
+
+
+@pytest.fixture
+def scene(tmp_path: Path, rng: np.random.Generator) -> Path:
+    """Six frames in the Replica layout, with poses and masks."""
+    folder = tmp_path / "data" / "Replica" / "room9"
+    (folder / "results").mkdir(parents=True)
+    (folder / "object_mask").mkdir()
+    camera = {"w": WIDTH, "h": HEIGHT, "fx": 50, "fy": 50, "cx": 31.5, "cy": 23.5, "scale": 1000}
+    (folder / "cam_params.json").write_text(json.dumps({"camera": camera}))
+    rows = []
+    for i in range(FRAMES):
+        rgb = rng.integers(0, 255, (HEIGHT, WIDTH, 3), np.uint8)
+        cv2.imwrite(str(folder / f"results/frame{i:06d}.jpg"), rgb)
+        cv2.imwrite(str(folder / f"results/depth{i:06d}.png"), np.full((HEIGHT, WIDTH), 2000, np.uint16))
+        cv2.imwrite(str(folder / f"object_mask/frame{i:06d}.png"), np.full((HEIGHT, WIDTH), 4, np.uint8))
+        T_wc = np.eye(4)
+        T_wc[0, 3] = 0.1 * i
+        rows.append(" ".join(map(str, T_wc.ravel())))
+    (folder / "traj.txt").write_text("\n".join(rows) + "\n")
+    return folder
+
+
+class FakeSlam:
+    """Knows every pose, renders grey, and does on each frame what the test asks for."""
+
+    on_step = staticmethod(lambda index: None)
+
+    def __init__(self, config, camera, sensor_camera, *, device, scheduler=None):
+        self.camera, self.scheduler = camera, scheduler
+        self.keyframe_indices = [0, 1]
+        self.counts = {"tracking_keyframes": 1, "mapping_keyframes": 1, "frames_lost": 0}
+
+    def step(self, frame):
+        self.on_step(frame.index)
+        T_wc = np.eye(4) if frame.T_wc is None else frame.T_wc
+        return StepReport(
+            frame.index, frame.timestamp, T_wc, Verdict.CONVERGED, "", 1.0, 0.0, "", 1.0, 2.0, 3, 7, 0.1
+        )
+
+    def render(self, T_wc):
+        shape = (self.camera.height, self.camera.width)
+        plane = np.full(shape, 2.0, np.float32)
+        ids = np.full(shape, 4, np.int32)
+        identity = np.zeros((*shape, 16), np.float32)
+        return Rendered(np.full((*shape, 3), 0.5, np.float32), plane, plane, plane, identity, ids)
+
+    def map_arrays(self):
+        ids = np.array([0, 0, 0, 4, 4, 4, 4], np.int32)
+        values = np.arange(21, dtype=np.float32).reshape(7, 3)
+        identities = np.random.default_rng(0).normal(size=(7, 16)).astype(np.float32)
+        quats = np.tile(np.float32([1, 0, 0, 0]), (7, 1))
+        return PlyGaussians(values, quats, values, values[:, 0], values, ids, identities)
+
+
+@pytest.fixture
+def fake(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("GGWARP_DATA", raising=False)
+    monkeypatch.setattr(run, "Slam", FakeSlam)
+    monkeypatch.setattr(run, "load_kernels", lambda device, display: None)
+    return FakeSlam
+
+
+def _only_line(capsys) -> str:
+    """Return the one line of standard error; a traceback would be many."""
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1, lines
+    return lines[0]
+
+
+def test_a_run_leaves_its_folder(scene, fake, tmp_path, capsys):
+    assert run.main(["--seq", "room9", "--scale", "0.5", "--device", "cpu", "--save-renders", "4"]) == 0
+    out = capsys.readouterr().out
+    assert "6 frames on cpu at 32x24 (--scale 0.5 of 64x48)" in out and "psnr " in out
+    folder = tmp_path / "runs" / "latest"
+    files = {str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file()}
+    pictures = {
+        f"renders/frame{i:06d}_{w}.png" for i in (0, 4) for w in ("rgb", "depth", "objects", "features")
+    }
+    assert files == pictures | set(report.OUTPUTS)
+    metrics = json.loads((folder / "metrics.json").read_text())
+    assert metrics["sequence"] == "room9" and metrics["dataset"] == "replica" and metrics["device"] == "cpu"
+    assert metrics["frames"] == FRAMES and metrics["heldout_frames"] == FRAMES - 2
+    assert metrics["ate_rmse_cm"] == pytest.approx(0.0, abs=1e-6) and metrics["miou"] == 1.0
+    assert metrics["depth_l1_cm"] == pytest.approx(0.0, abs=1e-4) and metrics["psnr"] > 5.0
+    stamps, poses = read_tum(folder / "trajectory.txt")
+    assert len(stamps) == FRAMES and poses[5, 0, 3] == pytest.approx(0.5)
+    assert len(read_ply(folder / "map.ply")) == 7
+    depth = cv2.imread(str(folder / "renders/frame000004_depth.png"), cv2.IMREAD_UNCHANGED)
+    assert depth is not None and depth.shape == (24, 32) and (depth == 2000).all()
+    assert json.loads((folder / "objects.json").read_text())["objects"][0]["count"] == 4
+
+
+def test_its_configuration_runs_again(scene, fake, tmp_path):
+    assert run.main(["--seq", "room9", "--device", "cpu", "--frames", "1:5:2", "--out", "one"]) == 0
+    saved = config.load_config(Path("one/config.toml"))
+    assert saved.device == "cpu" and saved.scale == 1.0 and saved.out is None
+    assert run.main(["--config", "one/config.toml", "--out", "two", "--mapper.iterations", "5"]) == 0
+    again = config.load_config(Path("two/config.toml"))
+    assert again.frames == "1:5:2" and again.mapper.iterations == 5
+    rows = list(csv.DictReader(Path("two/frames.csv").open(newline="")))
+    assert [r["index"] for r in rows] == ["1", "3"]
+    assert Path("two/renders/frame000003_rgb.png").is_file()  # numbered as in the sequence
+    assert not Path("runs").exists()
+
+
+def test_live_mode_has_its_scheduler(scene, fake, monkeypatch):
+    made = []
+    monkeypatch.setattr(run, "LiveScheduler", lambda fps: made.append(fps) or SimpleNamespace())
+    assert run.main(["--seq", "room9", "--device", "cpu", "--fps", "30", "--out", "o"]) == 0
+    assert made == [30.0]
+
+
+def test_bad_frames_are_skipped_and_counted(scene, fake, capsys):
+    (scene / "results" / "frame000002.jpg").write_bytes(b"not a picture")
+    assert run.main(["--seq", "room9", "--device", "cpu", "--out", "o"]) == 0
+    assert "frame 2 skipped: " in _only_line(capsys)
+    metrics = json.loads(Path("o/metrics.json").read_text())
+    assert metrics["frames"] == FRAMES - 1 and metrics["frames_skipped"] == 1
+    rows = list(csv.DictReader(Path("o/frames.csv").open(newline="")))
+    assert rows[2]["verdict"] == "skipped" and "frame000002.jpg" in rows[2]["reason"]
+
+
+def test_only_bad_frames(scene, fake, capsys):
+    for path in (scene / "results").glob("frame*.jpg"):
+        path.write_bytes(b"")
+    assert run.main(["--seq", "room9", "--device", "cpu", "--frames", "2:4", "--out", "o"]) == 2
+    assert "Traceback" not in (err := capsys.readouterr().err) and err.splitlines()[-1].startswith("ggwarp: ")
+
+
+def test_frames_are_read_again_when_too_many_to_hold(scene, fake, monkeypatch):
+    monkeypatch.setattr("ggwarp.session._KEPT_BYTES", 0)
+    assert run.main(["--seq", "room9", "--device", "cpu", "--out", "o"]) == 0
+    assert json.loads(Path("o/metrics.json").read_text())["heldout_frames"] == FRAMES - 2
+
+
+def test_ctrl_c_saves_what_there_is(scene, fake, monkeypatch, capsys):
+    def interrupt(index):
+        if index == 2:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(fake, "on_step", staticmethod(interrupt))
+    assert run.main(["--seq", "room9", "--device", "cpu", "--out", "o"]) == 130
+    assert "interrupted after 3 of 6 frames; saved in o" in capsys.readouterr().out
+    metrics = json.loads(Path("o/metrics.json").read_text())
+    assert metrics["frames"] == 3 and metrics["ate_rmse_cm"] is not None and metrics["psnr"] is None
+    assert set(report.OUTPUTS) <= {p.name for p in Path("o").iterdir()}
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_the_office_says_that_it_is_not_the_real_one(fake, capsys):
+    assert (
+        run.main(["--seq", "office0", "--device", "cpu", "--frames", "0:2", "--scale", "0.1", "--out", "o"])
+        == 0
+    )
+    out = capsys.readouterr().out
+    assert "built-in synthetic office" in out and "tools/download.py replica office0" in out
+    assert json.loads(Path("o/metrics.json").read_text())["dataset"] == "synthetic"
+
+
+MISTAKES = [
+    ([], "--seq is missing"),
+    (["--seq", "nothing"], "nothing: no such sequence"),
+    (["--seq", "./no/folder"], "no/folder"),
+    (["--seq", "room9", "--data", "absent"], "--data absent: no such folder"),
+    (["--seq", "room9", "--device", "cuda:77"], "--device cuda:77: no such device"),
+    (
+        ["--seq", "room9", "--device", "cpu", "--frames", "9:12"],
+        "--frames 9:12: no frame left; the sequence has 6",
+    ),
+    (["--seq", "room9", "--frames", "abc"], "--frames abc: expected"),
+    (["--seq", "room9", "--scale", "0"], "--scale 0"),
+    (["--seq", "room9", "--scale", "big"], "--scale"),
+    (["--seq", "room9", "--device", "cpu", "--scale", "0.1"], "--scale 0.1: images of 6x5 are too small"),
+    (["--seq", "room9", "--masks", "absent"], "absent"),
+    (["--seq", "room9", "--preset", "monogs"], "not available yet"),
+    (["--seq", "room9", "--preset", "best"], "no such preset"),
+    (["--seq", "room9", "--tracker", "photometric"], "not available yet"),
+    (["--seq", "room9", "--config", "absent.toml"], "absent.toml: no such file"),
+    (["--seq", "room9", "--config", "a", "--preset", "fast"], "give one of them"),
+    (["--seq", "room9", "--device", "cpu", "--out", "data/Replica/room9/traj.txt"], "traj.txt"),
+    (["--seq", "room9", "--mapper.iteration", "3"], "--mapper.iteration"),
+    (["--seq", "room9", "--unheard-of"], "--unheard-of"),
+]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"), MISTAKES, ids=[" ".join(a) or "nothing" for a, _ in MISTAKES]
+)
+def test_a_mistake_ends_in_one_line(scene, fake, capsys, arguments, message):
+    assert run.main(arguments) == 2
+    line = _only_line(capsys)
+    assert line.startswith("ggwarp: ") and message in line
+
+
+def test_an_empty_sequence(scene, fake, capsys):
+    for path in (scene / "results").iterdir():
+        path.unlink()
+    assert run.main(["--seq", "room9", "--device", "cpu"]) == 2
+    assert "empty" in _only_line(capsys)
+
+
+def test_a_sequence_without_depth(scene, fake, capsys):
+    for path in (scene / "results").glob("depth*"):
+        path.unlink()
+    assert run.main(["--seq", "room9", "--device", "cpu"]) == 2
+    assert "depth" in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_no_space_left(scene, fake, monkeypatch, capsys):
+    def full(path, *arguments, **options):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+
+    monkeypatch.setattr(report, "write_ply", full)
+    assert run.main(["--seq", "room9", "--device", "cpu", "--out", "o"]) == 2
+    assert _only_line(capsys) == f"ggwarp: {Path('o/map.ply')}: No space left on device"
+
+
+def test_a_bug_is_not_hidden(scene, fake, monkeypatch):
+    def broken(index):
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(fake, "on_step", staticmethod(broken))
+    with pytest.raises(ZeroDivisionError):
+        run.main(["--seq", "room9", "--device", "cpu", "--out", "o"])
+
+
+def test_as_a_program(tmp_path):
+    """A mistake seen from outside, where Warp's own words would show too."""
+    done = subprocess.run(
+        [sys.executable, "-m", "ggwarp.run", "--seq", "nothing"], capture_output=True, text=True, cwd=tmp_path
+    )
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1 and "nothing: no such sequence" in done.stderr
+    assert list(tmp_path.iterdir()) == []
+    shown = subprocess.run([sys.executable, "-m", "ggwarp.run", "--help"], capture_output=True, text=True)
+    assert shown.returncode == 0
+    for option in "seq data masks out device preset tracker frames scale fps save-renders config".split():
+        assert f"--{option} " in shown.stdout
