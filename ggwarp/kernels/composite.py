@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Alpha compositing of projected Gaussians, tile by tile, and its adjoint.
+
+Of each pixel, front to back: alpha_i = min(0.99, o_i exp(-(a dx^2 + c dy^2) / 2 - b dx dy)), skipped
+where under 1/255; w_i = alpha_i T_i, T_(i+1) = T_i - w_i, until T < 1e-4. Channels are sum w_i f_i on
+black. A clamped alpha passes no gradient to the splat's shape and opacity, as in 3-D Gaussian Splatting.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from ggwarp.kernels import composite_cpu
+from ggwarp.kernels.launch import launch_split
+from ggwarp.kernels.project import Splats
+from ggwarp.kernels.project_adjoint import SlotGradients
+from ggwarp.kernels.tiles import TileArrays, tiles_across
+
+_MIN_TILES = 8
+"""Fewer tiles than this are not worth a second thread."""
+
+
+def composite(
+    splats: Splats,
+    tiles: TileArrays,
+    *,
+    width: int,
+    height: int,
+    image: wp.array,
+    transmittance: wp.array,
+    median_depth: wp.array,
+) -> None:
+    """Blend binned splats into planar images, each padded to whole tiles.
+
+    Args:
+        splats: the projection; C is 3, 4 or 20.
+        tiles: its binning.
+        width, height: image size, pixels.
+        image: [C, Hp, Wp] out.
+        transmittance: [Hp, Wp] out: what is left of a ray behind all splats.
+        median_depth: [Hp, Wp] out: depth of the first splat after which T < 0.5, metres; 0 where none.
+
+    Raises:
+        ValueError: the channels or the padded size do not fit.
+    """
+    count = _check(splats, image, width, height)
+    channels = image.shape[0]
+    launch_split(
+        composite_cpu.FORWARD[channels],
+        count,
+        inputs=[
+            tiles_across(width),
+            tiles.pair_slots,
+            tiles.slot_gaussians,
+            tiles.tile_ranges,
+            splats.means2d,
+            splats.conics,
+            splats.depths,
+            splats.features,
+        ],
+        outputs=[image, transmittance, median_depth],
+        device=image.device,
+        min_piece=_MIN_TILES,
+    )
+
+
+def composite_adjoint(
+    splats: Splats,
+    tiles: TileArrays,
+    *,
+    image: wp.array,
+    transmittance: wp.array,
+    d_image: wp.array,
+    d_transmittance: wp.array,
+    out: SlotGradients,
+) -> None:
+    """Chain the gradients of :func:`composite`'s images to every slot's splat.
+
+    Args:
+        splats, tiles, image, transmittance: what the forward pass read and wrote.
+        d_image: [C, Hp, Wp], zero in the padding.
+        d_transmittance: [Hp, Wp], zero in the padding.
+        out: written for every slot of ``tiles``, zeros where nothing was seen.
+
+    Raises:
+        ValueError: the channels or the padded size do not fit.
+    """
+    count = _check(splats, image, image.shape[2], image.shape[1])
+    channels = image.shape[0]
+    launch_split(
+        composite_cpu.ADJOINT[channels],
+        count,
+        inputs=[
+            tiles_across(image.shape[2]),
+            tiles.pair_slots,
+            tiles.slot_gaussians,
+            tiles.tile_ranges,
+            splats.means2d,
+            splats.conics,
+            splats.features,
+            image,
+            transmittance,
+            d_image,
+            d_transmittance,
+        ],
+        outputs=[out.d_means2d, out.d_conics, out.d_features],
+        device=image.device,
+        min_piece=_MIN_TILES,
+    )
+
+
+def _check(splats: Splats, image: wp.array, width: int, height: int) -> int:
+    """Return the number of tiles."""
+    channels = splats.features.shape[1]
+    if channels not in composite_cpu.FORWARD:
+        raise ValueError(f"features: {channels} channels, but 3, 4 or 20 are composited")
+    columns, rows = tiles_across(width), tiles_across(height)
+    if image.shape != (channels, 16 * rows, 16 * columns):
+        raise ValueError(f"image: {image.shape}, but {(channels, 16 * rows, 16 * columns)} is needed")
+    return columns * rows
