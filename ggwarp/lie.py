@@ -124,3 +124,16 @@ def matrix_from_quat(q: ArrayLike) -> Array:
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ]
     )
+
+
+def transform_points(T: ArrayLike, points: ArrayLike) -> Array:
+    """Return ``points`` [n, 3] moved by the rigid motion ``T`` [4, 4]."""
+    T = np.asarray(T, np.float64)
+    return np.asarray(points, np.float64) @ T[:3, :3].T + T[:3, 3]
+
+
+def rotate_quats(R: ArrayLike, quats: ArrayLike) -> Array:
+    """Return the quaternions [n, 4], w first, of the rotation ``R`` [3, 3] after those of ``quats`` [n, 4]."""
+    w, x, y, z = quat_from_matrix(R)
+    product = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
+    return np.asarray(quats, np.float64) @ product.T

@@ -66,6 +66,7 @@ class Frame:
         T_wc: [4, 4] float64 true camera-to-world pose, when known. Never read by tracking.
         sensor_depth: [H, W] float32 metres, depth at the sensor's own resolution (tracking
             uses it whatever the image scale); None: same as ``depth``.
+        depth_timestamp: seconds, when the depth was taken; None: together with the colour.
     """
 
     index: int
@@ -75,6 +76,7 @@ class Frame:
     mask: NDArray[np.int32] | None = None
     T_wc: Float64 | None = None
     sensor_depth: Float32 | None = None
+    depth_timestamp: float | None = None
 
 
 class Verdict(Enum):
@@ -99,6 +101,8 @@ class TrackResult:
         points: [n, 3] float32 the frame's subsampled points, camera frame, metres.
         quats: [n, 4] float32 rotation of each point's ellipse, camera frame, w first.
         scales: [n, 3] float32 standard deviations of the ellipse, metres, not normalised.
+        spreads: [n, 3] float32 standard deviations of the point itself on the ellipse's axes, metres:
+            free along the surface, the sensor's noise across it. What trackable points keep.
         distances2: [n] float32 squared distance to the nearest trackable Gaussian after
             registration, m^2; inf where none is within reach.
         pixels: [n, 2] int32 sensor pixel (u, v) each point came from.
@@ -113,6 +117,7 @@ class TrackResult:
     points: Float32 | None = None
     quats: Float32 | None = None
     scales: Float32 | None = None
+    spreads: Float32 | None = None
     distances2: Float32 | None = None
     pixels: NDArray[np.int32] | None = None
 

@@ -8,7 +8,7 @@ from typing import Any
 import warp as wp
 
 from ggwarp.kernels.launch import launch_split
-from ggwarp.kernels.math import eigen_symmetric, matrix_to_quat
+from ggwarp.kernels.math import covariance_of, eigen_symmetric, matrix_to_quat
 
 wp.set_module_options({"enable_backward": False})
 
@@ -92,3 +92,85 @@ def normalise_scales(scales: Any, *, out: Any, device: Any) -> None:
         out: [n] wp.vec3, written.
     """
     wp.launch(_normalise, dim=scales.shape[0], inputs=[scales], outputs=[out], device=device)
+
+
+@wp.kernel
+def _plane_scales(
+    points: wp.array[wp.vec3],
+    spreads: wp.array[wp.vec3],
+    noise_floor: float,
+    noise_growth: float,
+    slip: float,
+    scales: wp.array[wp.vec3],
+):
+    i = wp.tid()
+    z = points[i][2]
+    noise = noise_floor + noise_growth * z * z
+    thickness = spreads[i][2]
+    scales[i] = wp.vec3(slip, slip, wp.sqrt(noise * noise + thickness * thickness))
+
+
+def plane_scales(
+    points: Any,
+    spreads: Any,
+    *,
+    noise_floor: float,
+    noise_growth: float,
+    slip: float,
+    scales: Any,
+    device: Any,
+) -> None:
+    """Say how surely each point fixes the pose: across its surface, and along it.
+
+    Across: the sensor's noise and the thickness of the neighbourhood, which is more than noise where
+    the surface bends or two surfaces meet, and the normal means little.
+
+    Args:
+        points: [n] wp.vec3, camera frame, metres.
+        spreads: [n] wp.vec3, the neighbourhood's standard deviations, falling, metres.
+        noise_floor, noise_growth: standard deviation of depth, noise_floor + noise_growth z^2, metres.
+        slip: standard deviation along the surface, metres.
+        scales: [n] wp.vec3, written: (slip, slip, across), as :func:`estimate_covariances` orders its axes.
+    """
+    wp.launch(
+        _plane_scales,
+        dim=points.shape[0],
+        inputs=[points, spreads, noise_floor, noise_growth, slip],
+        outputs=[scales],
+        device=device,
+    )
+
+
+@wp.kernel
+def _covariances(
+    offset: int,
+    quats: wp.array[wp.vec4],
+    scales: wp.array[wp.vec3],
+    order: wp.array[int],
+    covariances: wp.array[wp.mat33],
+):
+    i = offset + wp.tid()
+    j = i
+    if order.shape[0] > 0:
+        j = order[i]
+    covariances[i] = covariance_of(wp.normalize(quats[j]), scales[j])
+
+
+def build_covariances(quats: Any, scales: Any, *, order: Any = None, covariances: Any, device: Any) -> None:
+    """Multiply ellipses out: R diag(s^2) R^T.
+
+    Args:
+        quats: [n] wp.vec4, w first, any length but 0.
+        scales: [n] wp.vec3, standard deviations.
+        order: [>= n] int: row i of the result is ellipse ``order[i]``; None: i.
+        covariances: [n] wp.mat33, written.
+    """
+    launch_split(
+        _covariances,
+        quats.shape[0],
+        # A null array has no elements.
+        inputs=[quats, scales, order],
+        outputs=[covariances],
+        device=device,
+        min_piece=4096,
+    )

@@ -23,7 +23,7 @@ class Problem:
 
     def __init__(self, rng, n, device="cpu", noise=0.002, step=0.01):
         self.T_true = lie.se3_exp(np.concatenate([rng.normal(size=3) * 2.0, rng.normal(size=3)]))
-        self.points = (rng.uniform(-1.0, 1.0, (n, 3)) + [0.0, 0.0, 2.0]).astype(np.float32)
+        self.points = rng.uniform([-1.0, -1.0, 1.0], [1.0, 1.0, 3.0], (n, 3)).astype(np.float32)
         self.covariances = make_covariances(rng, n)
         world = self.points @ self.T_true[:3, :3].T + self.T_true[:3, 3]
         self.targets = (world + noise * rng.normal(size=(n, 3))).astype(np.float32)

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Generalised ICP of torch tensors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+
+from ggwarp.ops.registration import Cloud, Registration, Stage, build_target, register
+from ggwarp.ops.tensors import as_matrices, as_quats, as_vectors, warp_device
+
+
+def gicp(
+    points: torch.Tensor,
+    covariances: torch.Tensor,
+    target_means: torch.Tensor,
+    target_quats: torch.Tensor,
+    target_scales: torch.Tensor,
+    *,
+    T_start: torch.Tensor | None = None,
+    radii: Sequence[float] = (0.1, 0.03),
+    iterations: int = 20,
+    tolerance: float = 1e-5,
+    robust_scale: float = 1e6,
+) -> Registration:
+    """Find T that lays ``points`` on a set of Gaussians: argmin sum rho(d^T (B + R A R^T)^-1 d), d = b - T a.
+
+    Args:
+        points: [n, 3] float32.
+        covariances: [n, 3, 3] float32, A.
+        target_means, target_quats, target_scales: [m, 3], [m, 4] (w first), [m, 3] float32: b and B.
+        T_start: [4, 4] where to start; None: the identity.
+        radii: farthest match, coarse to fine, in the points' unit.
+        iterations: linearisations per radius at most.
+        tolerance: converged when a step is smaller, unit and radians.
+        robust_scale: Geman-McClure's, Mahalanobis units; the default is plain least squares.
+
+    Returns:
+        The pose with its information matrix. The tensors (contiguous, on one device) are not copied.
+
+    Raises:
+        ValueError: a tensor of another shape, type or layout.
+    """
+    device = warp_device(points)
+    # Matches lie within the last radius once the pose is near: cells of that size find them in few visits.
+    target = build_target(
+        as_vectors(target_means, "target_means"),
+        as_quats(target_quats, "target_quats"),
+        as_vectors(target_scales, "target_scales"),
+        cell_size=2.0 * radii[-1],
+        device=device,
+    )
+    start = torch.eye(4, dtype=torch.float64) if T_start is None else T_start.detach().double().cpu()
+    cloud = Cloud(as_vectors(points, "points"), as_matrices(covariances, "covariances"))
+    stages = [Stage(radius, iterations, tolerance) for radius in radii]
+    return register(cloud, target, start.numpy(), stages, robust_scale=robust_scale, device=device)

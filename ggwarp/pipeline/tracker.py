@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tracking: the camera's pose by registering a frame's depth to the map's trackable points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ggwarp import lie
+from ggwarp.ops.registration import Registration, Stage, Target, build_target, match_distances2, register
+from ggwarp.pipeline.observation import Observation, ObservationConfig, observe
+from ggwarp.types import Camera, Float32, Float64, Frame, MapSnapshot, TrackResult, Verdict
+
+
+@dataclass(frozen=True)
+class TrackerConfig:
+    """How a frame is registered, and when its pose is believed."""
+
+    observation: ObservationConfig = field(default_factory=ObservationConfig)
+    radii: tuple[float, ...] = (0.3, 0.1, 0.03)
+    """Farthest match of each stage, coarse to fine, metres; at least ``reach`` spacings of points."""
+    reach: float = 1.5
+    """No search ends below so many spacings: between sparse points there is always a gap."""
+    iterations: tuple[int, ...] = (6, 6, 15)
+    """Linearisations of each stage at most."""
+    coarse_thinning: int = 4
+    """All stages but the last use every so-manyth point."""
+    coarse_tolerance: float = 1e-3
+    """A coarse stage ends when a step is smaller, metres and radians."""
+    tolerance: float = 2e-5
+    """The last stage ends when a step is smaller, metres and radians."""
+    robust_scale: float = 3.0
+    """Standard deviations at which Geman-McClure's kernel halves a residual's share of the cost."""
+    overlap_distance: float = 0.0316
+    """A point within this distance of the map is matched, metres; at least ``reach`` spacings."""
+    min_points: int = 200
+    """A frame with fewer points is lost."""
+    lost_overlap: float = 0.2
+    """A frame with a smaller share of matched points is lost."""
+    poor_overlap: float = 0.4
+    """A frame with a smaller share of matched points is poor."""
+    max_slide: float = 0.01
+    """A frame whose position is uncertain by more along some direction is poor, metres."""
+    max_jump: float = 0.5
+    """A frame farther from its prediction is lost, metres."""
+    max_turn: float = 0.6
+    """A frame turned farther from its prediction is lost, radians."""
+
+
+@dataclass
+class _Motion:
+    """The last good pose, at the time of its depth image, and the velocity there."""
+
+    T_wc: Float64
+    time: float
+    velocity: Float64
+    """(v, w) a second, in the camera."""
+    lost: int = 0
+    """Frames lost since."""
+
+    def predicted(self, time: float) -> Float64:
+        """Return the pose at ``time`` by constant velocity; that is trusted for one lost frame only."""
+        if self.lost > 1:
+            return self.T_wc
+        return self.T_wc @ lie.se3_exp(self.velocity * (time - self.time))
+
+    def to_colour(self, frame: Frame) -> Float64:
+        """Return the motion [4, 4] from the camera of the frame's depth to that of its colour."""
+        return lie.se3_exp(self.velocity * (frame.timestamp - _depth_time(frame)))
+
+    def moved(self, T_wc: Float64, time: float) -> _Motion:
+        """Return the motion after a good frame at ``T_wc``."""
+        dt = time - self.time
+        velocity = lie.se3_log(lie.inverse(self.T_wc) @ T_wc) / dt if dt > 0.0 else np.zeros(6)
+        return _Motion(T_wc, time, velocity)
+
+
+class GicpTracker:
+    """Frame-to-map generalised ICP (GG-SLAM section 1a).
+
+    Keeps the last good pose and the velocity itself; reads neither ``Frame.T_wc`` nor colour.
+    """
+
+    def __init__(self, config: TrackerConfig, sensor_camera: Camera, *, device: Any = "cpu") -> None:
+        """Make a tracker of frames whose sensor depth was taken by ``sensor_camera``."""
+        self._config = config
+        self._camera = sensor_camera
+        self._device = device
+        self._target: Target | None = None
+        self._target_version: int | None = None
+        self._motion: _Motion | None = None
+
+    def start(self, frame: Frame, T_wc: Float64) -> TrackResult:
+        """Take the first frame, whose pose [4, 4] is given; all its points are new to the map."""
+        seen = self._observe(frame)
+        self._motion = _Motion(np.array(T_wc, np.float64), _depth_time(frame), np.zeros(6))
+        return _result(self._motion.T_wc, np.eye(4), Verdict.CONVERGED, seen)
+
+    def track(self, frame: Frame, target: MapSnapshot) -> TrackResult:
+        """Return the pose of the next frame.
+
+        Raises:
+            RuntimeError: there was no :meth:`start`.
+        """
+        if self._motion is None:
+            raise RuntimeError("track() before start(): the first frame's pose must be given")
+        seen = self._observe(frame)
+        predicted = self._motion.predicted(_depth_time(frame))
+        if seen.count < self._config.min_points:
+            return self._lose(
+                frame, predicted, f"{seen.count} depth points, {self._config.min_points} needed", seen
+            )
+        self._aim(target, seen.spacing)
+        assert self._target is not None
+        starts = [predicted] if self._motion.lost == 0 else [predicted, self._motion.T_wc]
+        fits = [self._fit(seen, start) for start in starts]
+        fit, distances2 = max(fits, key=lambda f: _overlap(f[1]))
+        verdict, reason = self._judge(fit, predicted, _overlap(distances2))
+        if verdict is Verdict.LOST:
+            return self._lose(frame, predicted, reason, seen, fit, distances2)
+        self._motion = self._motion.moved(fit.T_wc, _depth_time(frame))
+        return _result(fit.T_wc, self._motion.to_colour(frame), verdict, seen, reason, fit, distances2)
+
+    def _observe(self, frame: Frame) -> Observation:
+        image = frame.depth if frame.sensor_depth is None else frame.sensor_depth
+        if image is None:
+            raise ValueError(f"frame {frame.index} has no depth: GICP tracking needs it")
+        return observe(image, self._camera, self._config.observation, device=self._device)
+
+    def _aim(self, target: MapSnapshot, spacing: float) -> None:
+        """Prepare the map for registration, unless it is the one already prepared."""
+        if target.version != self._target_version:
+            self._target = build_target(
+                target.means, target.quats, target.scales, cell_size=2.5 * spacing, device=self._device
+            )
+            self._target_version = target.version
+
+    def _stages(self, spacing: float) -> list[Stage]:
+        c = self._config
+        radii = [max(radius, c.reach * spacing) for radius in c.radii]
+        *coarse, fine = zip(radii, c.iterations, strict=True)
+        stages = [Stage(r, n, c.coarse_tolerance, c.coarse_thinning) for r, n in coarse]
+        return [*stages, Stage(*fine, c.tolerance)]
+
+    def _fit(self, seen: Observation, T_start: Float64) -> tuple[Registration, Float32]:
+        assert self._target is not None
+        fit = register(
+            seen.cloud,
+            self._target,
+            T_start,
+            self._stages(seen.spacing),
+            robust_scale=self._config.robust_scale,
+            device=self._device,
+        )
+        reach = max(self._config.overlap_distance, self._config.reach * seen.spacing)
+        return fit, match_distances2(seen.cloud, self._target, fit.T_wc, radius=reach, device=self._device)
+
+    def _judge(self, fit: Registration, predicted: Float64, overlap: float) -> tuple[Verdict, str]:
+        config = self._config
+        assert self._motion is not None
+        allowed = 1 + self._motion.lost
+        jump = lie.se3_log(lie.inverse(predicted) @ fit.T_wc)
+        distance, turn = float(np.linalg.norm(jump[:3])), float(np.linalg.norm(jump[3:]))
+        if overlap < config.lost_overlap:
+            return Verdict.LOST, f"overlap {overlap:.2f} with the map"
+        if distance > allowed * config.max_jump or turn > allowed * config.max_turn:
+            return Verdict.LOST, f"jump of {distance:.2f} m, {np.degrees(turn):.0f} degrees"
+        slide = _slide(fit.information)
+        if not np.isfinite(slide):
+            return Verdict.LOST, "the geometry does not fix the pose"
+        if slide > config.max_slide:
+            return Verdict.POOR, f"position free to slide by {slide:.3f} m"
+        if overlap < config.poor_overlap:
+            return Verdict.POOR, f"overlap {overlap:.2f} with the map"
+        return Verdict.CONVERGED, ""
+
+    def _lose(
+        self,
+        frame: Frame,
+        predicted: Float64,
+        reason: str,
+        seen: Observation,
+        fit: Registration | None = None,
+        distances2: Float32 | None = None,
+    ) -> TrackResult:
+        assert self._motion is not None
+        self._motion.lost += 1
+        shift = self._motion.to_colour(frame)
+        return _result(predicted, shift, Verdict.LOST, seen, reason, fit, distances2)
+
+
+def _depth_time(frame: Frame) -> float:
+    return frame.timestamp if frame.depth_timestamp is None else frame.depth_timestamp
+
+
+def _overlap(distances2: Float32) -> float:
+    return float(np.isfinite(distances2).mean()) if len(distances2) else 0.0
+
+
+def _slide(information: Float64) -> float:
+    """Return the largest standard deviation of the position, metres; inf where it is not determined."""
+    values, vectors = np.linalg.eigh(information)
+    if not np.isfinite(values).all() or values[0] <= 1e-12 * max(values[-1], 1e-300):
+        return float("inf")
+    covariance = (vectors / values) @ vectors.T
+    return float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
+
+
+def _result(
+    T_wd: Float64,
+    T_dc: Float64,
+    verdict: Verdict,
+    seen: Observation,
+    reason: str = "",
+    fit: Registration | None = None,
+    distances2: Float32 | None = None,
+) -> TrackResult:
+    """Report the pose and the points as of the colour image; ``T_wd`` is the pose when depth was taken."""
+    if distances2 is None:
+        distances2 = np.full(seen.count, np.inf, np.float32)
+    matched = distances2[np.isfinite(distances2)]
+    T_cd = lie.inverse(T_dc)
+    return TrackResult(
+        T_wc=T_wd @ T_dc,
+        verdict=verdict,
+        reason=reason,
+        overlap=_overlap(distances2),
+        rmse=float(np.sqrt(matched.mean(dtype=np.float64))) if len(matched) else 0.0,
+        iterations=fit.iterations if fit else 0,
+        points=lie.transform_points(T_cd, seen.cloud.points.numpy()).astype(np.float32),
+        quats=lie.rotate_quats(T_cd[:3, :3], seen.quats.numpy()).astype(np.float32),
+        scales=seen.scales.numpy(),
+        spreads=seen.spreads.numpy(),
+        distances2=distances2,
+        pixels=seen.pixels.numpy(),
+    )
