@@ -133,7 +133,7 @@ def transform_points(T: ArrayLike, points: ArrayLike) -> Array:
 
 
 def rotate_quats(R: ArrayLike, quats: ArrayLike) -> Array:
-    """Return the quaternions [n, 4], w first, of the rotation ``R`` [3, 3] after those of ``quats`` [n, 4]."""
+    """Return ``quats`` [n, 4], w first, turned further by the rotation ``R`` [3, 3]."""
     w, x, y, z = quat_from_matrix(R)
     product = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
     return np.asarray(quats, np.float64) @ product.T

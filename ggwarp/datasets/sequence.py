@@ -28,12 +28,14 @@ class Entry:
         depth: the depth image; None where there is none.
         timestamp: seconds.
         T_wc: [4, 4] true camera-to-world pose, when known.
+        depth_timestamp: seconds, when the depth was taken; None: together with the colour.
     """
 
     rgb: Path
     depth: Path | None
     timestamp: float
     T_wc: Float64 | None = None
+    depth_timestamp: float | None = None
 
 
 class FileSequence:
@@ -90,7 +92,15 @@ class FileSequence:
             rgb, mask = self._undistort.colour(rgb), self._undistort.labels(mask)
             if depth is not None:
                 depth = np.where(self._undistort.seen, depth, np.float32(0.0))
-        return Frame(index, entry.timestamp, rgb, depth, mask, entry.T_wc)
+        return Frame(
+            index,
+            entry.timestamp,
+            rgb,
+            depth,
+            mask,
+            entry.T_wc,
+            depth_timestamp=entry.depth_timestamp,
+        )
 
     def _depth(self, entry: Entry) -> Float32 | None:
         if not self.has_depth:

@@ -77,7 +77,7 @@ def open_sequence(path: Path, masks: Masks = None) -> FileSequence:
     depth_of = nearest(rgb_stamps, depth_stamps, tolerance=DEPTH_TOLERANCE)
     pose_of = nearest(rgb_stamps, pose_stamps, tolerance=POSE_TOLERANCE)
     entries = [
-        Entry(rgb, depth_files[d], float(stamp), poses[p] if p >= 0 else None)
+        Entry(rgb, depth_files[d], float(stamp), poses[p] if p >= 0 else None, float(depth_stamps[d]))
         for rgb, stamp, d, p in zip(rgb_files, rgb_stamps, depth_of, pose_of, strict=True)
         if d >= 0
     ]
