@@ -15,7 +15,6 @@ from typing import Any, Protocol
 from rich.console import Console
 from rich.progress import (
     BarColumn,
-    MofNCompleteColumn,
     Progress,
     SpinnerColumn,
     TextColumn,
@@ -25,6 +24,7 @@ from rich.table import Table
 
 _log = logging.getLogger(__name__)
 
+_WIDE = 110  # columns from which on there is room for a bar
 _PLAIN_INTERVAL = 5.0  # seconds between progress lines where there is no terminal
 
 
@@ -85,17 +85,20 @@ class TerminalDisplay:
 
     def __init__(self, console: Console) -> None:
         self._console = console
+        # A terminal of 80 columns must have room for a whole status line.
+        bar = [BarColumn(bar_width=24)] if console.width >= _WIDE else []
         self._progress = Progress(
             SpinnerColumn(),
             TextColumn("{task.description}"),
-            BarColumn(bar_width=24),
-            MofNCompleteColumn(),
-            TimeRemainingColumn(),
+            *bar,
+            TextColumn("{task.fields[count]}"),
+            TimeRemainingColumn(compact=True),
             TextColumn("{task.fields[status]}"),
             console=console,
             transient=True,
         )
         self._task: Any = None
+        self._done, self._total = 0, None
 
     def note(self, line: str) -> None:
         _print(self._console, line)
@@ -107,10 +110,12 @@ class TerminalDisplay:
         self._progress.start()
         if self._task is not None:
             self._progress.remove_task(self._task)
-        self._task = self._progress.add_task(name, total=total, status="")
+        self._done, self._total = 0, total
+        self._task = self._progress.add_task(name, total=total, status="", count="")
 
     def advance(self, status: str = "") -> None:
-        self._progress.update(self._task, advance=1, status=status)
+        self._done += 1
+        self._progress.update(self._task, advance=1, status=status, count=f"{self._done}/{self._total}")
 
     def close(self) -> None:
         self._progress.stop()

@@ -65,7 +65,7 @@ def track_and_map(
     """
     size = len(reader) * reader.camera.width * reader.camera.height * _FRAME_BYTES
     kept: list[Frame] = []
-    display.stage("tracking and mapping", len(reader))
+    display.stage("frames", len(reader))
     started = time.perf_counter()
     for frame in reader:
         if isinstance(frame, BadFrame):
@@ -91,8 +91,8 @@ def track_and_map(
 
 def _status(step: StepReport, fps: float) -> str:
     return (
-        f"frame {step.index}, {fps:.1f} frames/s, tracking {step.tracking_ms:.0f} ms, "
-        f"mapping {step.mapping_ms:.0f} ms, {step.gaussians:,} Gaussians"
+        f"{fps:.1f} fps, tracking {step.tracking_ms:.0f} ms, mapping {step.mapping_ms:.0f} ms, "
+        f"{step.gaussians / 1000:.1f}k Gaussians"
     )
 
 
