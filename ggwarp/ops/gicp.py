@@ -53,5 +53,5 @@ def gicp(
     )
     start = torch.eye(4, dtype=torch.float64) if T_start is None else T_start.detach().double().cpu()
     cloud = Cloud(as_vectors(points, "points"), as_matrices(covariances, "covariances"))
-    stages = [Stage(radius, iterations, tolerance) for radius in radii]
-    return register(cloud, target, start.numpy(), stages, robust_scale=robust_scale, device=device)
+    stages = [Stage(radius, iterations, tolerance, robust_scale) for radius in radii]
+    return register(cloud, target, start.numpy(), stages, device=device)

@@ -62,12 +62,14 @@ class Stage:
         radius: farthest match, metres.
         iterations: linearisations at most.
         tolerance: converged when a step is smaller, metres and radians.
+        robust_scale: Geman-McClure's, standard deviations; the default is plain least squares.
         thinning: use every so-manyth point.
     """
 
     radius: float
     iterations: int
     tolerance: float
+    robust_scale: float = 1e6
     thinning: int = 1
 
 
@@ -109,7 +111,7 @@ def build_target(means: Any, quats: Any, scales: Any, *, cell_size: float, devic
 
 
 def register(
-    cloud: Cloud, target: Target, T_start: Float64, stages: list[Stage], *, robust_scale: float, device: Any
+    cloud: Cloud, target: Target, T_start: Float64, stages: list[Stage], *, device: Any
 ) -> Registration:
     """Find the pose that lays ``cloud`` on ``target``.
 
@@ -117,7 +119,6 @@ def register(
         cloud: points and covariances, camera frame.
         T_start: [4, 4] camera-to-world, where to start.
         stages: coarse to fine.
-        robust_scale: Geman-McClure's, standard deviations.
     """
     pose = wp.array(np.asarray(T_start, np.float64)[None], dtype=wp.mat44d, device=device)
     step = wp.zeros(2, dtype=wp.float64, device=device)
@@ -145,7 +146,7 @@ def register(
                 target.covariances,
                 pose,
                 matches,
-                robust_scale=robust_scale,
+                robust_scale=stage.robust_scale,
                 sums=sums,
                 system=system,
                 device=device,

@@ -102,8 +102,8 @@ def _ellipses(points: Any, spacing: float, config: ObservationConfig, device: An
         indices = _empty((n, config.neighbours), int, device)
         distances2 = _empty((n, config.neighbours), float, device)
         grid = neighbours.allocate_hash_grid(n, device=device)
-        # Two spacings a cell: the ten nearest points of a surface lie within about that.
-        neighbours.build_hash_grid(grid, points, cell_size=2.0 * spacing, device=device)
+        # Four spacings a cell: the ten nearest points of a surface then lie within the first ring.
+        neighbours.build_hash_grid(grid, points, cell_size=4.0 * spacing, device=device)
         neighbours.find_k_nearest(
             grid, points, k=config.neighbours, indices=indices, distances2=distances2, device=device
         )

@@ -21,7 +21,7 @@ from ggwarp.types import Float32, MapSnapshot, TrackResult
 class TrackableConfig:
     """How densely trackable points are laid."""
 
-    distance: float = 0.0173
+    distance: float = 0.025
     """A keyframe's point becomes trackable when the map is farther from it than this, metres."""
 
 

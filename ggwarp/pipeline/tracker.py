@@ -29,10 +29,11 @@ class TrackerConfig:
     """All stages but the last use every so-manyth point."""
     coarse_tolerance: float = 1e-3
     """A coarse stage ends when a step is smaller, metres and radians."""
-    tolerance: float = 2e-5
+    tolerance: float = 1e-4
     """The last stage ends when a step is smaller, metres and radians."""
     robust_scale: float = 3.0
-    """Standard deviations at which Geman-McClure's kernel halves a residual's share of the cost."""
+    """Standard deviations at which Geman-McClure's kernel halves a residual's share of the cost in the
+    last stage; wider in coarse stages, in the ratio of their radii."""
     overlap_distance: float = 0.0316
     """A point within this distance of the map is matched, metres; at least ``reach`` spacings."""
     min_points: int = 200
@@ -41,12 +42,18 @@ class TrackerConfig:
     """A frame with a smaller share of matched points is lost."""
     poor_overlap: float = 0.4
     """A frame with a smaller share of matched points is poor."""
+    sure_overlap: float = 0.6
+    """Below this share, registration is tried from other poses too, and the best overlap taken."""
+    search_turn: float = 0.15
+    """Angle of those poses, up, down, left and right of the predicted and the last good one, radians;
+    it grows with every lost frame."""
     max_slide: float = 0.01
-    """A frame whose position is uncertain by more along some direction is poor, metres."""
+    """A frame whose position is uncertain by more along some direction is poor, or lost if its overlap is
+    poor too, metres."""
     max_jump: float = 0.5
-    """A frame farther from its prediction is lost, metres."""
+    """A frame farther from its prediction is poor, or lost if its overlap is not sure, metres."""
     max_turn: float = 0.6
-    """A frame turned farther from its prediction is lost, radians."""
+    """Likewise a frame turned farther, radians."""
 
 
 @dataclass
@@ -93,9 +100,14 @@ class GicpTracker:
         self._motion: _Motion | None = None
 
     def start(self, frame: Frame, T_wc: Float64) -> TrackResult:
-        """Take the first frame, whose pose [4, 4] is given; all its points are new to the map."""
+        """Take the first frame, whose pose [4, 4] is given; all its points are new to the map.
+
+        A frame with too few points is lost: start again with the next one.
+        """
         seen = self._observe(frame)
         self._motion = _Motion(np.array(T_wc, np.float64), _depth_time(frame), np.zeros(6))
+        if seen.count < self._config.min_points:
+            return _result(self._motion.T_wc, np.eye(4), Verdict.LOST, seen, self._too_few(seen))
         return _result(self._motion.T_wc, np.eye(4), Verdict.CONVERGED, seen)
 
     def track(self, frame: Frame, target: MapSnapshot) -> TrackResult:
@@ -109,19 +121,18 @@ class GicpTracker:
         seen = self._observe(frame)
         predicted = self._motion.predicted(_depth_time(frame))
         if seen.count < self._config.min_points:
-            return self._lose(
-                frame, predicted, f"{seen.count} depth points, {self._config.min_points} needed", seen
-            )
+            return self._lose(frame, predicted, self._too_few(seen), seen)
         self._aim(target, seen.spacing)
         assert self._target is not None
-        starts = [predicted] if self._motion.lost == 0 else [predicted, self._motion.T_wc]
-        fits = [self._fit(seen, start) for start in starts]
-        fit, distances2 = max(fits, key=lambda f: _overlap(f[1]))
+        fit, distances2 = self._search(seen, predicted)
         verdict, reason = self._judge(fit, predicted, _overlap(distances2))
         if verdict is Verdict.LOST:
             return self._lose(frame, predicted, reason, seen, fit, distances2)
         self._motion = self._motion.moved(fit.T_wc, _depth_time(frame))
         return _result(fit.T_wc, self._motion.to_colour(frame), verdict, seen, reason, fit, distances2)
+
+    def _too_few(self, seen: Observation) -> str:
+        return f"{seen.count} depth points, {self._config.min_points} needed"
 
     def _observe(self, frame: Frame) -> Observation:
         image = frame.depth if frame.sensor_depth is None else frame.sensor_depth
@@ -139,10 +150,28 @@ class GicpTracker:
 
     def _stages(self, spacing: float) -> list[Stage]:
         c = self._config
-        radii = [max(radius, c.reach * spacing) for radius in c.radii]
-        *coarse, fine = zip(radii, c.iterations, strict=True)
-        stages = [Stage(r, n, c.coarse_tolerance, c.coarse_thinning) for r, n in coarse]
-        return [*stages, Stage(*fine, c.tolerance)]
+        *coarse, fine = [max(radius, c.reach * spacing) for radius in c.radii]
+        *coarse_iterations, fine_iterations = c.iterations
+        stages = [
+            Stage(radius, n, c.coarse_tolerance, c.robust_scale * radius / fine, c.coarse_thinning)
+            for radius, n in zip(coarse, coarse_iterations, strict=True)
+        ]
+        return [*stages, Stage(fine, fine_iterations, c.tolerance, c.robust_scale)]
+
+    def _search(self, seen: Observation, predicted: Float64) -> tuple[Registration, Float32]:
+        """Register from the prediction; where that fits badly, from poses around it and the last good one."""
+        assert self._motion is not None
+        best = self._fit(seen, predicted)
+        if _overlap(best[1]) >= self._config.sure_overlap:
+            return best
+        turn = self._config.search_turn * (1 + self._motion.lost)
+        turns = [np.zeros(3), *(sign * turn * axis for axis in np.eye(3)[:2] for sign in (1.0, -1.0))]
+        for base in (self._motion.T_wc, predicted):
+            for w in turns:
+                other = self._fit(seen, base @ lie.se3_exp([0.0, 0.0, 0.0, *w]))
+                if _overlap(other[1]) > _overlap(best[1]):
+                    best = other
+        return best
 
     def _fit(self, seen: Observation, T_start: Float64) -> tuple[Registration, Float32]:
         assert self._target is not None
@@ -151,7 +180,6 @@ class GicpTracker:
             self._target,
             T_start,
             self._stages(seen.spacing),
-            robust_scale=self._config.robust_scale,
             device=self._device,
         )
         reach = max(self._config.overlap_distance, self._config.reach * seen.spacing)
@@ -163,18 +191,25 @@ class GicpTracker:
         allowed = 1 + self._motion.lost
         jump = lie.se3_log(lie.inverse(predicted) @ fit.T_wc)
         distance, turn = float(np.linalg.norm(jump[:3])), float(np.linalg.norm(jump[3:]))
-        if overlap < config.lost_overlap:
-            return Verdict.LOST, f"overlap {overlap:.2f} with the map"
-        if distance > allowed * config.max_jump or turn > allowed * config.max_turn:
-            return Verdict.LOST, f"jump of {distance:.2f} m, {np.degrees(turn):.0f} degrees"
         slide = _slide(fit.information)
+        jumped = distance > allowed * config.max_jump or turn > allowed * config.max_turn
+        jump_reason = f"jump of {distance:.2f} m, {np.degrees(turn):.0f} degrees"
+        overlap_reason = f"overlap {overlap:.2f} with the map"
+        slide_reason = f"position free to slide by {slide:.3f} m"
+        if overlap < config.lost_overlap:
+            return Verdict.LOST, overlap_reason
         if not np.isfinite(slide):
             return Verdict.LOST, "the geometry does not fix the pose"
+        # One weakness alone can be the scene's; two together are a wrong pose.
+        if jumped and overlap < config.sure_overlap:
+            return Verdict.LOST, f"{jump_reason}, {overlap_reason}"
+        if slide > config.max_slide and overlap < config.poor_overlap:
+            return Verdict.LOST, f"{slide_reason}, {overlap_reason}"
         if slide > config.max_slide:
-            return Verdict.POOR, f"position free to slide by {slide:.3f} m"
+            return Verdict.POOR, slide_reason
         if overlap < config.poor_overlap:
-            return Verdict.POOR, f"overlap {overlap:.2f} with the map"
-        return Verdict.CONVERGED, ""
+            return Verdict.POOR, overlap_reason
+        return (Verdict.POOR, jump_reason) if jumped else (Verdict.CONVERGED, "")
 
     def _lose(
         self,

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from ggwarp import lie
+from ggwarp.pipeline.given import GivenPoses
 from ggwarp.pipeline.observation import ObservationConfig, observe
 from ggwarp.pipeline.trackable import TrackableConfig, TrackableMap
 from ggwarp.pipeline.tracker import GicpTracker, TrackerConfig
@@ -111,6 +112,21 @@ def test_no_depth_is_lost_with_the_reason():
     assert result.verdict is Verdict.LOST and result.reason.startswith("0 depth points")
     assert len(result.points) == 0 and result.overlap == 0.0
     np.testing.assert_allclose(result.T_wc, pose(0))
+
+
+def test_a_start_without_depth_is_lost_and_can_be_repeated():
+    tracker = GicpTracker(CONFIG, CAMERA)
+    assert tracker.start(frame(0, np.zeros((120, 160), np.float32)), pose(0)).verdict is Verdict.LOST
+    assert tracker.start(frame(1), pose(1)).verdict is Verdict.CONVERGED
+
+
+def test_a_turn_too_large_for_one_start_is_found_by_search():
+    T = pose(0) @ lie.se3_exp([0.05, 0.02, 0.0, 0.4, 0.0, 0.0])
+    turned = frame(1, depth_from(T))
+    assert Session(config=replace(CONFIG, sure_overlap=0.0)).track(turned).verdict is Verdict.LOST
+    result = Session().track(turned)
+    assert result.verdict is Verdict.CONVERGED
+    assert np.linalg.norm(lie.se3_log(lie.inverse(T) @ result.T_wc)) < 5e-3
 
 
 def test_recovers_after_bad_frames():
@@ -229,6 +245,19 @@ def test_sampling_adapts_to_the_readings(points):
     assert 0.6 * points < observe(image, CAMERA, config, device="cpu").count < 1.6 * points
     image[:, :120] = 0.0
     assert observe(image, CAMERA, config, device="cpu").count > 0.6 * min(points, 4800)
+
+
+def test_given_poses_stand_in_for_tracking(device):
+    given = GivenPoses(CONFIG, CAMERA, device=device)
+    trackable = TrackableMap(TrackableConfig(), device=device)
+    first = given.start(frame(0), pose(0))
+    assert first.overlap == 0.0 and trackable.add(first) == len(first.points)
+    result = given.track(frame(1, T_wc=pose(1)), trackable.snapshot())
+    np.testing.assert_array_equal(result.T_wc, pose(1))
+    assert result.verdict is Verdict.CONVERGED and result.overlap > 0.8
+    missing = given.track(frame(2), trackable.snapshot())
+    assert missing.verdict is Verdict.LOST and missing.reason == "no true pose is known"
+    np.testing.assert_array_equal(missing.T_wc, pose(1))
 
 
 def test_every_option_is_documented():
