@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ggwarp.map.gaussians import SH_C0
 from ggwarp.objects.registry import NO_OBJECT
 
-_C0 = 0.28209479177387814  # the degree-0 spherical harmonic
 _TRIM = 1.0  # percent: stray Gaussians must not decide a box
 
 
@@ -43,7 +43,7 @@ def inventory(
         if identifier == NO_OBJECT:
             continue
         low, high = np.percentile(means[members], [_TRIM, 100.0 - _TRIM], axis=0)
-        rgb = np.clip(0.5 + _C0 * colours[members].mean(0), 0.0, 1.0)
+        rgb = np.clip(0.5 + SH_C0 * colours[members].mean(0), 0.0, 1.0)
         entries.append(
             {
                 "id": identifier,

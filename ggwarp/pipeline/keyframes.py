@@ -23,7 +23,7 @@ class KeyframeKind(Enum):
 class KeyframeConfig:
     """When a frame becomes a keyframe."""
 
-    overlap: float = 0.7
+    overlap: float = 0.95
     """A frame is a tracking keyframe when the share of its points with a map match closer than
     the tracker's overlap distance is below this."""
 
@@ -37,6 +37,11 @@ class OverlapKeyframes:
     def __init__(self, config: KeyframeConfig) -> None:
         self._config = config
         self._since_tracking: int | None = None
+
+    @property
+    def empty(self) -> bool:
+        """Whether no frame has entered the map yet."""
+        return self._since_tracking is None
 
     def decide(self, result: TrackResult) -> KeyframeKind:
         """Return what the frame behind ``result`` adds; call once a frame, in order."""

@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The identity classifier z = W e + b and its training (GG-SLAM eqs. 8-10)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ggwarp.kernels.adam import adam_classifier
+from ggwarp.kernels.classify import classify_gaussians, classify_pixels
+from ggwarp.kernels.identity import cross_entropy
+from ggwarp.kernels.identity_kl import neighbour_divergence
+from ggwarp.kernels.math import vec16
+from ggwarp.map.gaussians import SH_C0, GaussianMap
+from ggwarp.map.renderer import Renderer
+from ggwarp.map.workspaces import allocate_identity, allocate_neighbours
+from ggwarp.objects.neighbourhood import Neighbourhood
+from ggwarp.types import Float32
+
+IDENTITY_SIZE = 16
+
+
+@dataclass(frozen=True)
+class ClassifierConfig:
+    """How identities are learnt."""
+
+    classes: int = 100
+    """Room for so many classes at first; it grows with the ids."""
+    weight: float = 0.1
+    """l_obj of the loss (GG-SLAM eq. 5)."""
+    weight_3d: float = 1.0
+    """l_obj3d of the loss."""
+    rate: float = 5e-4
+    """Adam's learning rate of the classifier."""
+    row_stride: int = 4
+    """Cross-entropy is evaluated on every so-manyth image row, from a random first one."""
+    interval_3d: int = 5
+    """The 3-D term is evaluated every so many iterations."""
+    samples_3d: int = 1000
+    """Gaussians sampled for the 3-D term."""
+    neighbours_3d: int = 5
+    """Nearest neighbours compared with each sample."""
+
+
+def random_identities(count: int, rng: np.random.Generator) -> Float32:
+    """Return [count, 16] random identities (GG-SLAM eq. 2)."""
+    return ((rng.random((count, IDENTITY_SIZE)) - 0.5) / SH_C0).astype(np.float32)
+
+
+class Classifier:
+    """W [classes, 16] and b [classes], their Adam state, and the losses that train them.
+
+    A class starts as the nearest-code rule: W_c = code_c and b_c = -|code_c|^2 / 2, where ``codes``
+    [classes, 16] are random identities. Gaussians seeded with their object's code are then classified
+    rightly from the start, and training refines what seeding got wrong.
+    """
+
+    def __init__(self, config: ClassifierConfig, gaussians: GaussianMap, *, seed: int) -> None:
+        self._config = config
+        self._map = gaussians
+        self._device = gaussians.device
+        self._seed = seed
+        self._rng = np.random.default_rng((seed, 1))
+        self.codes = np.zeros((0, IDENTITY_SIZE), np.float32)
+        self._rate = wp.array([config.rate], dtype=float, device=self._device)
+        self._neighbourhood = Neighbourhood(
+            gaussians, samples=config.samples_3d, k=config.neighbours_3d + 1
+        )
+        self._image_workspace: Any = None
+        self._allocate(config.classes)
+        self.grow(1)
+
+    @property
+    def count(self) -> int:
+        """Classes in use, "no object" included."""
+        return len(self.codes)
+
+    def grow(self, count: int) -> None:
+        """Add classes up to ``count``."""
+        if count <= self.count:
+            return
+        if count > self._capacity:
+            self._enlarge(max(count, 2 * self._capacity))
+        begin = self.count
+        new = random_identities(count - begin, np.random.default_rng((self._seed, 2, begin)))
+        self.codes = np.concatenate([self.codes, new])
+        self._weights[begin:count].assign(new)
+        self._biases[begin:count].assign(-0.5 * (new**2).sum(axis=1))
+
+    def evaluate(self, renderer: Renderer, labels: wp.array | None, losses: wp.array) -> None:
+        """Write the identity part of ``renderer.d_image`` and of ``losses``.
+
+        Args:
+            renderer: after its forward pass.
+            labels: [h, w] class of each pixel; None: this view teaches nothing.
+            losses: see :data:`ggwarp.kernels.loss.LOSS_COUNT`.
+        """
+        c = self._config
+        if labels is None or self.count < 2:
+            renderer.d_image[4:].zero_()
+            self._d_weights.zero_()
+            self._d_biases.zero_()
+            return
+        if self._image_workspace is None:
+            _, height, width = renderer.image.shape
+            self._image_workspace = allocate_identity(
+                height, width, capacity=self._capacity, device=self._device
+            )
+        cross_entropy(
+            renderer.image,
+            labels,
+            weights=self._weights,
+            biases=self._biases,
+            classes=self.count,
+            d_image=renderer.d_image,
+            d_weights=self._d_weights,
+            d_biases=self._d_biases,
+            losses=losses,
+            workspace=self._image_workspace,
+            weight=c.weight,
+            stride=c.row_stride,
+            phase=int(self._rng.integers(c.row_stride)),
+            device=self._device,
+        )
+
+    def evaluate_3d(self, renderer: Renderer, losses: wp.array, iteration: int) -> None:
+        """Add the 3-D term to the gradients; after the renderer's adjoint."""
+        c = self._config
+        if self.count < 2 or c.weight_3d == 0.0 or iteration % c.interval_3d:
+            return
+        self._neighbourhood.draw(self._rng)
+        neighbour_divergence(
+            self._map.fields["identities"],
+            samples=self._neighbourhood.samples,
+            neighbours=self._neighbourhood.neighbours,
+            ranks=renderer.tiles.ranks,
+            weights=self._weights,
+            biases=self._biases,
+            classes=self.count,
+            d_identities=renderer.gradients.identities,
+            d_weights=self._d_weights,
+            d_biases=self._d_biases,
+            losses=losses,
+            workspace=self._workspace_3d,
+            # Each sample is its own first neighbour, at no divergence.
+            weight=c.weight_3d * (c.neighbours_3d + 1) / c.neighbours_3d,
+            device=self._device,
+        )
+
+    def step(self) -> None:
+        """Take one Adam step."""
+        adam_classifier(
+            self._weights,
+            self._biases,
+            d_weights=self._d_weights,
+            d_biases=self._d_biases,
+            weight_moments=self._weight_moments,
+            bias_moments=self._bias_moments,
+            steps=self._steps,
+            rate=self._rate,
+            classes=self.count,
+            device=self._device,
+        )
+
+    def classify_image(self, image: wp.array, height: int, width: int) -> NDArray[np.int32]:
+        """Return [height, width] the likeliest class of each pixel of a render [20, Hp, Wp]."""
+        labels = wp.empty((height, width), dtype=int, device=self._device)
+        probabilities = wp.empty((height, width), dtype=float, device=self._device)
+        classify_pixels(
+            image,
+            weights=self._weights,
+            biases=self._biases,
+            classes=self.count,
+            labels=labels,
+            probabilities=probabilities,
+            device=self._device,
+        )
+        return labels.numpy()
+
+    def classify_map(self) -> tuple[NDArray[np.int32], Float32]:
+        """Return [n] the likeliest class of each Gaussian and [n] its probability."""
+        n = self._map.count
+        labels = wp.empty(n, dtype=int, device=self._device)
+        probabilities = wp.empty(n, dtype=float, device=self._device)
+        classify_gaussians(
+            self._map.fields["identities"][:n],
+            weights=self._weights,
+            biases=self._biases,
+            classes=self.count,
+            labels=labels,
+            probabilities=probabilities,
+            device=self._device,
+        )
+        return labels.numpy(), probabilities.numpy()
+
+    def _allocate(self, capacity: int) -> None:
+        def zeros(shape: Any, dtype: Any) -> wp.array:
+            return wp.zeros(shape, dtype=dtype, device=self._device)
+
+        self._capacity = capacity
+        self._weights, self._d_weights = zeros(capacity, vec16), zeros(capacity, vec16)
+        self._biases, self._d_biases = zeros(capacity, float), zeros(capacity, float)
+        self._weight_moments, self._bias_moments = zeros((2, capacity), vec16), zeros((2, capacity), float)
+        self._steps = zeros(capacity, wp.int32)
+        self._workspace_3d = allocate_neighbours(
+            self._config.samples_3d, self._config.neighbours_3d + 1, capacity=capacity, device=self._device
+        )
+
+    def _enlarge(self, capacity: int) -> None:
+        names = ("_weights", "_biases", "_weight_moments", "_bias_moments", "_steps")
+        old = {name: getattr(self, name).numpy().copy() for name in names}
+        self._allocate(capacity)
+        self._image_workspace = None
+        for name, values in old.items():
+            array = getattr(self, name)
+            grown = array.numpy().copy()
+            grown[tuple(slice(s) for s in values.shape)] = values
+            array.assign(grown)

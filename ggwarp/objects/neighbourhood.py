@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The nearest Gaussians of some Gaussians, for the identity's 3-D term."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ggwarp.kernels.neighbours import allocate_hash_grid, build_hash_grid, find_k_nearest
+from ggwarp.map.gaussians import GaussianMap
+
+_SAMPLE = 10_000
+
+
+class Neighbourhood:
+    """A search grid over a map's centres, rebuilt when Gaussians came or went.
+
+    Centres move by millimetres at most between rebuilds: the neighbours are those of the last one.
+    """
+
+    def __init__(self, gaussians: GaussianMap, *, samples: int, k: int) -> None:
+        """Prepare to find the ``k`` nearest of ``samples`` Gaussians."""
+        self._map = gaussians
+        self._k = k
+        self._version = -1
+        self._grid: Any = None
+        device = gaussians.device
+        self._queries = wp.empty(samples, dtype=wp.vec3, device=device)
+        self._distances2 = wp.empty((samples, k), dtype=float, device=device)
+        self.samples = wp.empty(samples, dtype=int, device=device)
+        self.neighbours = wp.empty((samples, k), dtype=int, device=device)
+
+    def draw(self, rng: np.random.Generator) -> None:
+        """Fill ``samples`` [S] with random Gaussians and ``neighbours`` [S, k] with their nearest."""
+        self._rebuild()
+        drawn = rng.integers(self._map.count, size=self.samples.shape[0], dtype=np.int32)
+        self.samples.assign(drawn)
+        self._queries.assign(self._centres[drawn])
+        find_k_nearest(
+            self._grid,
+            self._queries,
+            k=self._k,
+            indices=self.neighbours,
+            distances2=self._distances2,
+            device=self._map.device,
+        )
+
+    def _rebuild(self) -> None:
+        if self._version == self._map.version:
+            return
+        self._version = self._map.version
+        means = self._map.fields["means"][: self._map.count]
+        self._centres = means.numpy().copy()
+        if self._grid is None or self._grid.points.shape[0] < self._map.count:
+            self._grid = allocate_hash_grid(self._map.capacity, device=self._map.device)
+        build_hash_grid(self._grid, means, cell_size=self._cell_size(), device=self._map.device)
+
+    def _cell_size(self) -> float:
+        """Guess a cell that holds about ``k`` of the Gaussians, which lie on surfaces."""
+        sample = self._centres[:: max(1, len(self._centres) // _SAMPLE)]
+        low, high = np.quantile(sample, [0.1, 0.9], axis=0)
+        return max(float((high - low).max()) * (self._k / len(self._centres)) ** 0.5, 1e-3)

@@ -1,0 +1,233 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Mapping: keyframes enter the map, and iterations fit the map to the keyframes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ggwarp.io.ply import PlyGaussians
+from ggwarp.kernels.adam import AdamRates, adam_gaussians
+from ggwarp.kernels.compact import flag_kept
+from ggwarp.kernels.loss import LOSS_COUNT, rgbd_loss
+from ggwarp.map.gaussians import GaussianMap
+from ggwarp.map.renderer import Renderer
+from ggwarp.map.workspaces import allocate_loss
+from ggwarp.objects.classifier import Classifier, ClassifierConfig
+from ggwarp.objects.registry import NO_OBJECT, ClassTable
+from ggwarp.pipeline.seeding import SeedingConfig, seed_density, seed_gaussians
+from ggwarp.types import Camera, Float64, Frame, Rendered
+
+
+@dataclass(frozen=True)
+class MapperConfig:
+    """How the map is built and fitted."""
+
+    iterations: int = 10
+    """Mapping iterations a frame (synchronous mode)."""
+    colour_weight: float = 1.0
+    """l_rgb of the loss (GG-SLAM eq. 5)."""
+    dssim: float = 0.2
+    """Share of 1 - SSIM in the colour loss (eq. 6)."""
+    depth_weight: float = 0.1
+    """l_d of the loss."""
+    depth_max: float = 10.0
+    """Depth unit of eq. 7, metres."""
+    rates: AdamRates = field(default_factory=AdamRates)
+    """Adam's learning rates."""
+    prune_interval: int = 200
+    """Prune every so many iterations."""
+    prune_opacity: float = 0.005
+    """Gaussians less opaque than this are pruned."""
+    prune_scale: float = 0.25
+    """Gaussians with a larger standard deviation than this are pruned, metres."""
+    seeding: SeedingConfig = field(default_factory=SeedingConfig)
+    classifier: ClassifierConfig = field(default_factory=ClassifierConfig)
+    object_probability: float = 0.3
+    """A Gaussian belongs to its likeliest object when that is likelier than this (Gaussian Grouping)."""
+    seed: int = 0
+    """Of the random choice of keyframes and identities."""
+
+
+@dataclass(frozen=True)
+class Keyframe:
+    """A frame the map is fitted to, on the device."""
+
+    index: int
+    T_cw: wp.array
+    colour: wp.array
+    depth: wp.array
+    labels: wp.array | None
+
+
+class Mapper:
+    """The map's only writer.
+
+    Attributes:
+        map: the Gaussians.
+        classes: the masks' ids as classes.
+        classifier: identity -> class; None without identities.
+        keyframe_indices: frames that were ever used for mapping.
+    """
+
+    def __init__(self, config: MapperConfig, camera: Camera, *, device: Any, use_identity: bool) -> None:
+        self._config = config
+        self._camera = camera
+        self._device = wp.get_device(device)
+        self._rng = np.random.default_rng(config.seed)
+        self.map = GaussianMap(device=device, has_identity=use_identity)
+        self.classes = ClassTable()
+        self.classifier = Classifier(config.classifier, self.map, seed=config.seed) if use_identity else None
+        self._renderer = Renderer(self.map, camera)
+        self._workspace = allocate_loss(camera.height, camera.width, device=self._device)
+        self._losses = wp.zeros(LOSS_COUNT, dtype=float, device=self._device)
+        self._rates = wp.array(config.rates.lanes(), dtype=self.map.fields["first"].dtype, device=self._device)
+        self._keyframes: list[Keyframe] = []
+        self._newest_pending = False
+        self._iterations = 0
+
+    @property
+    def ready(self) -> bool:
+        """Whether there is anything to fit."""
+        return bool(self._keyframes) and self.map.count > 0
+
+    @property
+    def keyframe_indices(self) -> list[int]:
+        return [keyframe.index for keyframe in self._keyframes]
+
+    def insert(self, frame: Frame, T_wc: Float64) -> None:
+        """Make ``frame`` a keyframe and add the Gaussians that it shows and the map lacks."""
+        assert frame.depth is not None
+        classes = None
+        if self.classifier is not None and frame.mask is not None:
+            classes = self.classes.encode(frame.mask)
+            self.classifier.grow(self.classes.count)
+        rendered = self.render(T_wc) if self.map.count else None
+        density = seed_density(frame, rendered, self._config.seeding)
+        batch = seed_gaussians(
+            frame,
+            T_wc,
+            self._camera,
+            density,
+            self._config.seeding,
+            codes=None if self.classifier is None else self.classifier.codes,
+            classes=classes,
+            rng=self._rng,
+        )
+        self.map.append(batch)
+        self._keyframes.append(self._upload(frame, T_wc, classes))
+        self._newest_pending = True
+
+    def iterate(self) -> float:
+        """Fit the map to one keyframe once; return the loss."""
+        keyframe = self._draw()
+        self._renderer.forward(keyframe.T_cw)
+        self._evaluate(keyframe)
+        self._renderer.adjoint(keyframe.T_cw)
+        if self.classifier is not None:
+            self.classifier.evaluate_3d(self._renderer, self._losses, self._iterations)
+        self._step()
+        self._iterations += 1
+        if self._iterations % self._config.prune_interval == 0:
+            self._prune()
+        return self._total_loss()
+
+    def render(self, T_wc: Float64) -> Rendered:
+        """Return the map's view from ``T_wc`` [4, 4]."""
+        r = self._renderer
+        r.forward(r.pose_array(T_wc))
+        image = r.plane(r.image)
+        identity = objects = None
+        opacity = 1.0 - r.plane(r.transmittance)
+        if self.classifier is not None:
+            identity = np.ascontiguousarray(image[4:].transpose(1, 2, 0))
+            classes = self.classifier.classify_image(r.image, self._camera.height, self._camera.width)
+            objects = np.where(opacity > 0.5, self.classes.decode(classes), 0).astype(np.int32)
+        return Rendered(
+            rgb=np.ascontiguousarray(np.clip(image[:3], 0.0, 1.0).transpose(1, 2, 0)),
+            depth=image[3],
+            median_depth=r.plane(r.median_depth),
+            opacity=opacity,
+            identity=identity,
+            objects=objects,
+        )
+
+    def export(self) -> PlyGaussians:
+        """Return the map on the host, each Gaussian with its object's id as the masks name it."""
+        object_ids = None
+        if self.classifier is not None:
+            classes, probabilities = self.classifier.classify_map()
+            sure = probabilities > self._config.object_probability
+            object_ids = np.where(sure, self.classes.decode(classes), NO_OBJECT).astype(np.int32)
+        return PlyGaussians(object_ids=object_ids, **self.map.to_host())
+
+    def _draw(self) -> Keyframe:
+        """The newest keyframe first, once; then any, at random."""
+        if self._newest_pending:
+            self._newest_pending = False
+            return self._keyframes[-1]
+        return self._keyframes[self._rng.integers(len(self._keyframes))]
+
+    def _evaluate(self, keyframe: Keyframe) -> None:
+        """Write the loss and its gradient by the image (GG-SLAM eq. 5)."""
+        c = self._config
+        rgbd_loss(
+            self._renderer.image,
+            keyframe.colour,
+            keyframe.depth,
+            d_image=self._renderer.d_image,
+            losses=self._losses,
+            workspace=self._workspace,
+            colour_weight=c.colour_weight,
+            dssim=c.dssim,
+            depth_weight=c.depth_weight,
+            d_max=c.depth_max,
+            device=self._device,
+        )
+        if self.classifier is not None:
+            self.classifier.evaluate(self._renderer, keyframe.labels, self._losses)
+
+    def _step(self) -> None:
+        adam_gaussians(
+            self.map.parameters,
+            self._renderer.gradients,
+            self.map.adam_state,
+            rates=self._rates,
+            ranks=self._renderer.tiles.ranks,
+            device=self._device,
+        )
+        if self.classifier is not None:
+            self.classifier.step()
+
+    def _prune(self) -> None:
+        flags = wp.empty(self.map.count, dtype=int, device=self._device)
+        flag_kept(
+            self.map.parameters,
+            flags=flags,
+            min_opacity=self._config.prune_opacity,
+            max_scale=self._config.prune_scale,
+            device=self._device,
+        )
+        self.map.keep(flags)
+
+    def _total_loss(self) -> float:
+        c = self._config
+        l1, dssim, depth, _, objects, objects_3d = self._losses.numpy().tolist()
+        return (
+            c.colour_weight * ((1.0 - c.dssim) * l1 + c.dssim * dssim)
+            + c.depth_weight * depth
+            + c.classifier.weight * objects
+            + c.classifier.weight_3d * objects_3d
+        )
+
+    def _upload(self, frame: Frame, T_wc: Float64, classes: Any) -> Keyframe:
+        return Keyframe(
+            index=frame.index,
+            T_cw=self._renderer.pose_array(T_wc),
+            colour=wp.array(frame.rgb, dtype=wp.uint8, device=self._device),
+            depth=wp.array(frame.depth, dtype=float, device=self._device),
+            labels=None if classes is None else wp.array(classes, dtype=int, device=self._device),
+        )
