@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from ggwarp.kernels import composite_cpu
+from ggwarp.kernels import composite_cpu, composite_cpu_adjoint
 from ggwarp.kernels.launch import launch_split
 from ggwarp.kernels.project import Splats
 from ggwarp.kernels.project_adjoint import SlotGradients
@@ -46,7 +46,7 @@ def composite(
     count = _check(splats, image, width, height)
     channels = image.shape[0]
     launch_split(
-        composite_cpu.FORWARD[channels],
+        composite_cpu.KERNELS[channels],
         count,
         inputs=[
             tiles_across(width),
@@ -88,7 +88,7 @@ def composite_adjoint(
     count = _check(splats, image, image.shape[2], image.shape[1])
     channels = image.shape[0]
     launch_split(
-        composite_cpu.ADJOINT[channels],
+        composite_cpu_adjoint.KERNELS[channels],
         count,
         inputs=[
             tiles_across(image.shape[2]),
@@ -112,7 +112,7 @@ def composite_adjoint(
 def _check(splats: Splats, image: wp.array, width: int, height: int) -> int:
     """Return the number of tiles."""
     channels = splats.features.shape[1]
-    if channels not in composite_cpu.FORWARD:
+    if channels not in composite_cpu.KERNELS:
         raise ValueError(f"features: {channels} channels, but 3, 4 or 20 are composited")
     columns, rows = tiles_across(width), tiles_across(height)
     if image.shape != (channels, 16 * rows, 16 * columns):

@@ -8,7 +8,6 @@ import pytest
 import torch
 import warp as wp
 
-from ggwarp.kernels import launch
 from ggwarp.kernels.composite import composite, composite_adjoint
 from ggwarp.kernels.tiles import bin_splats, tiles_across
 from ggwarp.ops.reference.render import composite as composite_reference
