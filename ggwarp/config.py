@@ -21,6 +21,7 @@ from ggwarp.io.toml import TomlError, merged, read_toml
 from ggwarp.pipeline.keyframes import KeyframeConfig
 from ggwarp.pipeline.mapper import MapperConfig
 from ggwarp.pipeline.slam import SlamConfig
+from ggwarp.pipeline.trackable import TrackableConfig
 from ggwarp.pipeline.tracker import TrackerConfig
 from ggwarp.types import Camera
 
@@ -77,6 +78,7 @@ class RunConfig:
 
     gicp: TrackerConfig = field(default_factory=TrackerConfig)
     keyframes: KeyframeConfig = field(default_factory=KeyframeConfig)
+    trackable: TrackableConfig = field(default_factory=TrackableConfig)
     mapper: MapperConfig = field(default_factory=MapperConfig)
 
     def slam(self) -> SlamConfig:
@@ -84,6 +86,7 @@ class RunConfig:
         return SlamConfig(
             tracker=self.gicp,
             keyframes=self.keyframes,
+            trackable=self.trackable,
             mapper=self.mapper,
             use_identity=self.use_identity,
             use_true_poses=self.tracker == "ground-truth",

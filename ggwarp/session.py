@@ -14,10 +14,14 @@ from typing import Any
 
 from ggwarp.console import Display
 from ggwarp.datasets import BadFrame, FrameReader
+from ggwarp.evaluation.evaluate import FrameScore
+from ggwarp.evaluation.evaluate import evaluate as compare
+from ggwarp.evaluation.image import open_lpips
 from ggwarp.kernels import loading
 from ggwarp.pipeline import report
+from ggwarp.pipeline.renders import RenderWriter
 from ggwarp.pipeline.slam import Slam
-from ggwarp.types import Frame, StepReport, Verdict
+from ggwarp.types import Frame, Rendered, StepReport, Verdict
 
 _KEPT_BYTES = 1 << 29  # frames held for the evaluation instead of being read again
 _FRAME_BYTES = 3 + 4 + 4  # a pixel's colour, depth and mask
@@ -121,13 +125,6 @@ def evaluate(
     """
     if interruption.requested:
         return
-    # scikit-image and the picture writer are not needed before.
-    from ggwarp.evaluation.evaluate import FrameScore
-    from ggwarp.evaluation.evaluate import evaluate as compare
-    from ggwarp.evaluation.image import open_lpips
-    from ggwarp.pipeline.renders import RenderWriter
-    from ggwarp.types import Rendered
-
     saved = {r.index for r in record.reports[::every]} if every else set()
     writer = RenderWriter(folder / "renders", slam.map_arrays().identities)
     display.stage("evaluating", len(record.reports))

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from skimage.metrics import structural_similarity
 
 from ggwarp.types import Float32
 
@@ -58,6 +57,8 @@ def ssim(image: Float32, reference: Float32, valid: Bools) -> float | None:
     """
     if not valid.any() or min(valid.shape) < _SSIM_WINDOW:
         return None
+    from skimage.metrics import structural_similarity  # heavy, and not needed before a run has ended
+
     shown = valid[..., None]
     similarity: Any = structural_similarity(
         image * shown,
