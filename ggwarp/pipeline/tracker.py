@@ -134,6 +134,13 @@ class GicpTracker:
     def _too_few(self, seen: Observation) -> str:
         return f"{seen.count} depth points, {self._config.min_points} needed"
 
+    def place(self, frame: Frame, target: MapSnapshot, T_wc: Float64) -> TrackResult:
+        """Take the pose [4, 4] as given; say only how the frame's points lie to the map there."""
+        seen = self._observe(frame)
+        self._aim(target, seen.spacing)
+        self._motion = _Motion(np.array(T_wc, np.float64), _depth_time(frame), np.zeros(6))
+        return _result(T_wc, np.eye(4), Verdict.CONVERGED, seen, distances2=self._distances2(seen, T_wc))
+
     def _observe(self, frame: Frame) -> Observation:
         image = frame.depth if frame.sensor_depth is None else frame.sensor_depth
         if image is None:
@@ -175,15 +182,14 @@ class GicpTracker:
 
     def _fit(self, seen: Observation, T_start: Float64) -> tuple[Registration, Float32]:
         assert self._target is not None
-        fit = register(
-            seen.cloud,
-            self._target,
-            T_start,
-            self._stages(seen.spacing),
-            device=self._device,
-        )
+        fit = register(seen.cloud, self._target, T_start, self._stages(seen.spacing), device=self._device)
+        return fit, self._distances2(seen, fit.T_wc)
+
+    def _distances2(self, seen: Observation, T_wc: Float64) -> Float32:
+        """Return [n] squared distance of each point to the map, m^2; inf where nothing is near."""
+        assert self._target is not None
         reach = max(self._config.overlap_distance, self._config.reach * seen.spacing)
-        return fit, match_distances2(seen.cloud, self._target, fit.T_wc, radius=reach, device=self._device)
+        return match_distances2(seen.cloud, self._target, T_wc, radius=reach, device=self._device)
 
     def _judge(self, fit: Registration, predicted: Float64, overlap: float) -> tuple[Verdict, str]:
         config = self._config
