@@ -6,7 +6,7 @@ import pytest
 import warp as wp
 
 from ggwarp import lie
-from ggwarp.kernels.covariance import estimate_covariances, normalise_scales
+from ggwarp.kernels.covariance import build_covariances, estimate_covariances, normalise_scales, plane_scales
 from ggwarp.ops.reference.registration import ellipse
 
 
@@ -67,3 +67,31 @@ def test_scales_are_divided_by_their_median(device):
     normalise_scales(wp.array(scales, dtype=wp.vec3, device=device), out=out, device=device)
     expected = [[3.0, 1.0, 0.2], [0.25, 12.5, 1.0], [1, 1, 1], [1, 1, 1], [1, 1, 1]]
     np.testing.assert_allclose(out.numpy(), expected, rtol=1e-5)
+
+
+def test_a_point_is_free_along_its_surface_and_as_sure_as_its_depth_across(device):
+    points = wp.array(np.float32([[0, 0, 1], [1, 2, 3]]), dtype=wp.vec3, device=device)
+    spreads = wp.array(np.float32([[0.1, 0.1, 0.0], [0.1, 0.1, 0.04]]), dtype=wp.vec3, device=device)
+    scales = wp.zeros(2, dtype=wp.vec3, device=device)
+    plane_scales(
+        points, spreads, noise_floor=0.001, noise_growth=0.002, slip=0.5, scales=scales, device=device
+    )
+    across = [0.003, np.hypot(0.019, 0.04)]
+    np.testing.assert_allclose(scales.numpy(), [[0.5, 0.5, across[0]], [0.5, 0.5, across[1]]], rtol=1e-5)
+
+
+@pytest.mark.parametrize("order", [None, [2, 0, 1]])
+def test_ellipses_multiplied_out(rng, device, order):
+    quats = rng.normal(size=(3, 4)).astype(np.float32)
+    scales = rng.uniform(0.01, 1.0, (3, 3)).astype(np.float32)
+    covariances = wp.zeros(3, dtype=wp.mat33, device=device)
+    build_covariances(
+        wp.array(quats, dtype=wp.vec4, device=device),
+        wp.array(scales, dtype=wp.vec3, device=device),
+        order=None if order is None else wp.array(order, dtype=int, device=device),
+        covariances=covariances,
+        device=device,
+    )
+    A = np.array([lie.matrix_from_quat(q) * s for q, s in zip(quats, scales, strict=True)])
+    expected = (A @ A.transpose(0, 2, 1))[range(3) if order is None else order]
+    np.testing.assert_allclose(covariances.numpy(), expected, atol=1e-6)
