@@ -164,6 +164,17 @@ class Rendered:
     identity: Float32 | None = None
     objects: NDArray[np.int32] | None = None
 
+    @property
+    def surface_depth(self) -> Float32:
+        """[h, w] metres: where the nearest surface is; 0 where there is nothing.
+
+        The median depth, which does not mix a foreground with what is behind it; where the map is
+        not opaque, the expected depth of what there is.
+        """
+        seen = self.opacity > 0.0
+        expected = np.divide(self.depth, self.opacity, out=np.zeros_like(self.depth), where=seen)
+        return np.where(self.median_depth > 0.0, self.median_depth, expected)
+
 
 @dataclass(frozen=True)
 class StepReport:

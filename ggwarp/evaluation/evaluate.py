@@ -109,7 +109,7 @@ def evaluate(
 def _score(frame: Frame, view: Rendered, held_out: bool, lpips: image.Lpips | None) -> FrameScore:
     reference: Float32 = np.divide(frame.rgb, 255.0, dtype=np.float32)
     valid = np.ones(frame.rgb.shape[:2], bool) if frame.depth is None else frame.depth > 0.0
-    error = None if frame.depth is None else image.depth_l1(view.depth, frame.depth)
+    error = None if frame.depth is None else image.depth_l1(view.surface_depth, frame.depth)
     shown = valid[..., None]
     return FrameScore(
         index=frame.index,

@@ -39,10 +39,11 @@ def kernel_modules(*, imported_only: bool = True) -> list[Any]:
 def uncompiled(modules: list[Any], device: Any) -> list[Any]:
     """Return those of ``modules`` that Warp's cache does not hold for ``device``."""
     wp.init()
-    suffixes = (".o",) if wp.get_device(device).is_cpu else (".cubin", ".ptx")
+    # The block size is part of a module's identity; on a CPU a block is one thread.
+    block_dim, suffixes = (1, (".o",)) if wp.get_device(device).is_cpu else (None, (".cubin", ".ptx"))
     missing = []
     for module in modules:
-        folder = Path(wp.config.kernel_cache_dir) / module.get_module_identifier()
+        folder = Path(wp.config.kernel_cache_dir) / module.get_module_identifier(block_dim)
         if not any(path.suffix in suffixes for path in folder.glob("*")):
             missing.append(module)
     return missing

@@ -17,7 +17,7 @@ from ggwarp.types import Float32, Rendered
 class RenderWriter:
     """Writes ``frame%06d_{rgb,depth,objects,features}.png`` into one folder.
 
-    Depth is 16-bit, millimetres; objects are 8- or 16-bit ids as the masks name them; features
+    Depth is that of the surface, 16-bit, millimetres; objects are 8- or 16-bit ids as the masks name them; features
     are the identity image's three principal components, with one basis for the whole run.
     """
 
@@ -34,7 +34,7 @@ class RenderWriter:
         """
         self._folder.mkdir(parents=True, exist_ok=True)
         self._save(index, "rgb", np.rint(view.rgb[..., ::-1] * 255.0).astype(np.uint8))
-        self._save(index, "depth", depth_to_millimetres(view.depth))
+        self._save(index, "depth", depth_to_millimetres(view.surface_depth))
         if view.objects is not None:
             ids = np.clip(view.objects, 0, 65535)
             self._save(index, "objects", ids.astype(np.uint8 if ids.max(initial=0) < 256 else np.uint16))

@@ -72,3 +72,12 @@ def test_a_frame_without_a_single_reading_is_passed_over_in_the_means():
 def test_lpips_is_used_when_given():
     result = evaluate([_frame(0)], {0: _pose(0.1)}, _view, mapped=[], lpips=lambda a, b: 0.25)
     assert result.all_frames.lpips == 0.25 and result.held_out.lpips == 0.25
+
+
+def test_surface_depth():
+    """Median where the map is opaque, else the expected depth of what there is, else nothing."""
+    plane = np.array([[1.8, 0.3, 0.0]], np.float32)
+    median = np.array([[2.0, 0.0, 0.0]], np.float32)
+    opacity = np.array([[0.9, 0.1, 0.0]], np.float32)
+    view = Rendered(np.zeros((1, 3, 3), np.float32), plane, median, opacity)
+    np.testing.assert_allclose(view.surface_depth, [[2.0, 3.0, 0.0]], rtol=1e-6)

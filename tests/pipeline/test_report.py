@@ -159,7 +159,7 @@ def test_renders(rng, tmp_path):
     view = Rendered(
         rgb=np.broadcast_to(np.float32([1.0, 0.5, 0.0]), (*shape, 3)),
         depth=np.full(shape, 1.2345, np.float32),
-        median_depth=np.zeros(shape, np.float32),
+        median_depth=np.full(shape, 1.2345, np.float32),
         opacity=np.ones(shape, np.float32),
         identity=identity,
         objects=objects,

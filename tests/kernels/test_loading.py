@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+import os
+import subprocess
+import sys
+
+from ggwarp.kernels import loading
+
+_COLD_AND_WARM = """
+from ggwarp.kernels import compact, loading
+loading.init_quietly()
+modules = loading.kernel_modules()
+print(*(m.name for m in modules))
+print(len(loading.uncompiled(modules, "cpu")))
+loading.load(modules, "cpu")
+print(len(loading.uncompiled(modules, "cpu")))
+"""
+
+
+def _run(code: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, **environment},
+    )
+
+
+def test_an_empty_cache_is_noticed_and_filled(tmp_path):
+    names, before, after = _run(_COLD_AND_WARM, WARP_CACHE_PATH=str(tmp_path)).stdout.splitlines()
+    assert "ggwarp.kernels.compact" in names.split()
+    assert "ggwarp.kernels.gicp" not in names.split()  # nothing has imported it
+    assert (int(before), int(after)) == (len(names.split()), 0)
+    assert _run(_COLD_AND_WARM, WARP_CACHE_PATH=str(tmp_path)).stdout.splitlines()[1] == "0"
+
+
+def test_warp_starts_without_a_word():
+    done = _run("from ggwarp.kernels import loading; loading.init_quietly()")
+    assert done.stdout == "" and done.stderr == ""
+
+
+def test_what_warp_says_otherwise_is_passed_on(monkeypatch, capfd):
+    def complain():
+        os.write(2, b"Could not find or load the NVIDIA CUDA driver.\nsomething else\n")
+
+    monkeypatch.setattr(loading.wp, "init", complain)
+    loading.init_quietly()
+    assert capfd.readouterr().err == "something else\n"
+
+
+def test_all_modules_or_those_imported():
+    every = loading.kernel_modules(imported_only=False)
+    assert {m.name for m in loading.kernel_modules()} == {m.name for m in every}
+    assert all(m.kernels for m in every)
+
+
+def test_nothing_to_load(device):
+    loading.load([], device)
+    assert loading.uncompiled([], device) == []
