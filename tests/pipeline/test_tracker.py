@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ggwarp import lie
-from ggwarp.pipeline.given import GivenPoses
+from ggwarp.pipeline.given_poses import GivenPoses
 from ggwarp.pipeline.observation import ObservationConfig, observe
 from ggwarp.pipeline.trackable import TrackableConfig, TrackableMap
 from ggwarp.pipeline.tracker import GicpTracker, TrackerConfig
@@ -255,9 +255,8 @@ def test_given_poses_stand_in_for_tracking(device):
     result = given.track(frame(1, T_wc=pose(1)), trackable.snapshot())
     np.testing.assert_array_equal(result.T_wc, pose(1))
     assert result.verdict is Verdict.CONVERGED and result.overlap > 0.8
-    missing = given.track(frame(2), trackable.snapshot())
-    assert missing.verdict is Verdict.LOST and missing.reason == "no true pose is known"
-    np.testing.assert_array_equal(missing.T_wc, pose(1))
+    untold = given.track(frame(2), trackable.snapshot())
+    assert untold.verdict is Verdict.CONVERGED and error(untold, 2)[0] < 1e-3
 
 
 def test_every_option_is_documented():
