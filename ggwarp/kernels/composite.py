@@ -8,9 +8,11 @@ black. A clamped alpha passes no gradient to the splat's shape and opacity, as i
 
 from __future__ import annotations
 
+from typing import Any
+
 import warp as wp
 
-from ggwarp.kernels import composite_cpu, composite_cpu_adjoint
+from ggwarp.kernels import composite_cpu, composite_cpu_adjoint, composite_cuda
 from ggwarp.kernels.launch import launch_split
 from ggwarp.kernels.project import Splats
 from ggwarp.kernels.project_adjoint import SlotGradients
@@ -29,6 +31,7 @@ def composite(
     image: wp.array,
     transmittance: wp.array,
     median_depth: wp.array,
+    cooperative: bool | None = None,
 ) -> None:
     """Blend binned splats into planar images, each padded to whole tiles.
 
@@ -39,29 +42,25 @@ def composite(
         image: [C, Hp, Wp] out.
         transmittance: [Hp, Wp] out: what is left of a ray behind all splats.
         median_depth: [Hp, Wp] out: depth of the first splat after which T < 0.5, metres; 0 where none.
+        cooperative: take the form for CUDA; the default does on CUDA alone. On the CPU that form needs
+            ``wp.config.enable_cpu_blocks`` and is slow: it is for tests.
 
     Raises:
         ValueError: the channels or the padded size do not fit.
     """
-    count = _check(splats, image, width, height)
-    channels = image.shape[0]
-    launch_split(
-        composite_cpu.KERNELS[channels],
-        count,
-        inputs=[
-            tiles_across(width),
-            tiles.pair_slots,
-            tiles.slot_gaussians,
-            tiles.tile_ranges,
-            splats.means2d,
-            splats.conics,
-            splats.depths,
-            splats.features,
-        ],
-        outputs=[image, transmittance, median_depth],
-        device=image.device,
-        min_piece=_MIN_TILES,
-    )
+    channels = _check(splats, image, width, height)
+    inputs = [
+        tiles_across(width),
+        tiles.pair_slots,
+        tiles.slot_gaussians,
+        tiles.tile_ranges,
+        splats.means2d,
+        splats.conics,
+        splats.depths,
+        splats.features,
+    ]
+    kernels = (composite_cpu.KERNELS[channels], composite_cuda.FORWARD[channels])
+    _launch(kernels, tiles, inputs, [image, transmittance, median_depth], cooperative)
 
 
 def composite_adjoint(
@@ -73,6 +72,7 @@ def composite_adjoint(
     d_image: wp.array,
     d_transmittance: wp.array,
     out: SlotGradients,
+    cooperative: bool | None = None,
 ) -> None:
     """Chain the gradients of :func:`composite`'s images to every slot's splat.
 
@@ -81,40 +81,59 @@ def composite_adjoint(
         d_image: [C, Hp, Wp], zero in the padding.
         d_transmittance: [Hp, Wp], zero in the padding.
         out: written for every slot of ``tiles``, zeros where nothing was seen.
+        cooperative: as in :func:`composite`.
 
     Raises:
         ValueError: the channels or the padded size do not fit.
     """
-    count = _check(splats, image, image.shape[2], image.shape[1])
-    channels = image.shape[0]
-    launch_split(
-        composite_cpu_adjoint.KERNELS[channels],
-        count,
-        inputs=[
-            tiles_across(image.shape[2]),
-            tiles.pair_slots,
-            tiles.slot_gaussians,
-            tiles.tile_ranges,
-            splats.means2d,
-            splats.conics,
-            splats.features,
-            image,
-            transmittance,
-            d_image,
-            d_transmittance,
-        ],
-        outputs=[out.d_means2d, out.d_conics, out.d_features],
-        device=image.device,
-        min_piece=_MIN_TILES,
-    )
+    channels = _check(splats, image, image.shape[2], image.shape[1])
+    inputs = [
+        tiles_across(image.shape[2]),
+        tiles.pair_slots,
+        tiles.slot_gaussians,
+        tiles.tile_ranges,
+        splats.means2d,
+        splats.conics,
+        splats.features,
+        image,
+        transmittance,
+        d_image,
+        d_transmittance,
+    ]
+    kernels = (composite_cpu_adjoint.KERNELS[channels], composite_cuda.ADJOINT[channels])
+    _launch(kernels, tiles, inputs, [out.d_means2d, out.d_conics, out.d_features], cooperative)
+
+
+def _launch(
+    kernels: tuple[Any, Any],
+    tiles: TileArrays,
+    inputs: list[Any],
+    outputs: list[Any],
+    cooperative: bool | None,
+) -> None:
+    """Launch the form for a CPU or the one for CUDA over all tiles."""
+    per_tile, per_block = kernels
+    device = outputs[0].device
+    count = tiles.tile_ranges.shape[0]
+    if cooperative if cooperative is not None else not device.is_cpu:
+        wp.launch_tiled(
+            per_block,
+            dim=count,
+            inputs=inputs,
+            outputs=outputs,
+            block_dim=composite_cuda.BLOCK,
+            device=device,
+        )
+    else:
+        launch_split(per_tile, count, inputs=inputs, outputs=outputs, device=device, min_piece=_MIN_TILES)
 
 
 def _check(splats: Splats, image: wp.array, width: int, height: int) -> int:
-    """Return the number of tiles."""
+    """Return the number of channels."""
     channels = splats.features.shape[1]
-    if channels not in composite_cpu.KERNELS:
+    if channels not in composite_cuda.FORWARD:
         raise ValueError(f"features: {channels} channels, but 3, 4 or 20 are composited")
-    columns, rows = tiles_across(width), tiles_across(height)
-    if image.shape != (channels, 16 * rows, 16 * columns):
-        raise ValueError(f"image: {image.shape}, but {(channels, 16 * rows, 16 * columns)} is needed")
-    return columns * rows
+    needed = (channels, 16 * tiles_across(height), 16 * tiles_across(width))
+    if image.shape != needed:
+        raise ValueError(f"image: {image.shape}, but {needed} is needed")
+    return channels

@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 import torch
 import warp as wp
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from ggwarp.kernels import launch
 from ggwarp.kernels.composite import composite, composite_adjoint
 from ggwarp.kernels.tiles import bin_splats, tiles_across
 from ggwarp.ops.reference.render import composite as composite_reference
@@ -37,16 +40,17 @@ def make_scene(rng, n=60, width=40, height=24, channels=20, sigma=(0.6, 5.0), op
 class Composited:
     """A scene binned and composited on a device."""
 
-    def __init__(self, scene, size, device, *, everywhere=False):
+    def __init__(self, scene, size, device, *, everywhere=False, cooperative=None):
         self.width, self.height = size
         self.device = device
+        self.cooperative = cooperative
         n, channels = scene["features"].shape
         rects = np.zeros((n, 4), np.int32)
         columns, rows = tiles_across(self.width), tiles_across(self.height)
         a, b, c, opacity = scene["conics"].astype(np.float64).T
         reach = 2 * np.log(np.maximum(255 * opacity, 1)) / (a * c - b * b)
         for axis, (limit, variance) in enumerate(((columns, c), (rows, a))):
-            extent = np.inf if everywhere else np.sqrt(reach * variance)
+            extent = np.inf if everywhere else np.nan_to_num(np.sqrt(reach * variance), nan=1e3)
             centre = scene["means2d"][:, axis].astype(np.float64)
             rects[:, axis] = np.clip(np.floor((centre - extent) / 16), 0, limit)
             rects[:, axis + 2] = np.clip(np.floor((centre + extent) / 16) + 1, 0, limit)
@@ -83,6 +87,7 @@ class Composited:
             image=self.image,
             transmittance=self.transmittance,
             median_depth=self.median_depth,
+            cooperative=self.cooperative,
         )
 
     def planes(self):
@@ -106,11 +111,12 @@ class Composited:
             d_image=wp.array(np.pad(d_image, [(0, 0), *padding]), dtype=float, device=self.device),
             d_transmittance=wp.array(np.pad(d_transmittance, padding), dtype=float, device=self.device),
             out=out,
+            cooperative=self.cooperative,
         )
         owners = self.tiles.slot_gaussians.numpy()[: self.slots]
         sums = []
         for array in (out.d_means2d, out.d_conics, out.d_features):
-            rows = array.numpy().reshape(self.slots, -1)
+            rows = array.numpy()
             total = np.zeros((self.splats.depths.shape[0], rows.shape[1]))
             np.add.at(total, owners, rows)
             sums.append(total)
@@ -164,3 +170,160 @@ def test_adjoint_matches_the_oracle(device, rng, channels):
     for mine, reference_gradient in zip(ours, theirs, strict=True):
         assert_same_direction(mine, reference_gradient)
     assert_same_direction(ours[1][:, 3], theirs[1][:, 3])
+
+
+def run_all(scene, size, device, seeds, **options):
+    """Planes and the slots' own gradients, as one list of arrays."""
+    run = Composited(scene, size, device, **options)
+    return [*run.planes(), *run.adjoint(*seeds)]
+
+
+def test_adjoint_matches_finite_differences(device, rng):
+    """On wide, faint splats, away from thresholds and clamps: where the image is smooth."""
+    scene, size = make_scene(rng, n=8, width=16, height=16, channels=4, sigma=(12, 30), opacity=(0.3, 0.5))
+    seeds = random_gradients(rng, 4, size)
+    gradients = Composited(scene, size, device).adjoint(*seeds)
+
+    def loss(values):
+        image, transmittance, _ = Composited(values, size, device, everywhere=True).planes()
+        return (image * seeds[0].astype(np.float64)).sum() + (
+            transmittance * seeds[1].astype(np.float64)
+        ).sum()
+
+    for name, gradient, step in zip(NAMES, gradients, (0.5, 3e-5, 0.5), strict=True):
+        numeric = np.zeros_like(gradient)
+        for index in np.ndindex(*gradient.shape):
+            h = 1e-2 if name == "conics" and index[1] == 3 else step
+            shifted = []
+            for sign in (h, -h):
+                values = {k: v.copy() for k, v in scene.items()}
+                values[name][index] += np.float32(sign)
+                shifted.append((loss(values), float(values[name][index])))
+            numeric[index] = (shifted[0][0] - shifted[1][0]) / (shifted[0][1] - shifted[1][1])
+        assert_same_direction(gradient, numeric, tolerance=2e-2)
+
+
+@pytest.fixture
+def cpu_blocks():
+    """Lets a CPU run cooperative kernels, as a GPU does."""
+    before = wp.config.enable_cpu_blocks
+    wp.config.enable_cpu_blocks = True
+    yield
+    wp.config.enable_cpu_blocks = before
+
+
+@pytest.mark.parametrize("channels", [3, 4, 20])
+def test_cuda_form_agrees_with_cpu_form(rng, cpu_blocks, channels):
+    scene, size = make_scene(rng, n=300, width=36, height=20, channels=channels, opacity=(0.05, 1.0))
+    seeds = random_gradients(rng, channels, size)
+    ours, theirs = (
+        run_all(scene, size, "cpu", seeds, everywhere=True, cooperative=form) for form in (True, False)
+    )
+    for a, b in zip(ours[:3], theirs[:3], strict=True):
+        assert np.abs(a - b).max() < 2e-5
+    for a, b in zip(ours[3:], theirs[3:], strict=True):
+        assert_same_direction(a, b, tolerance=1e-4)
+
+
+def test_thread_count_does_not_change_a_bit(rng):
+    scene, size = make_scene(rng, n=200, width=100, height=90)
+    seeds = random_gradients(rng, 20, size)
+    before = launch.cpu_threads()
+    results = []
+    for threads in (1, 2):
+        launch.set_cpu_threads(threads)
+        results.append(run_all(scene, size, "cpu", seeds))
+    launch.set_cpu_threads(before)
+    for one, two in zip(*results, strict=True):
+        assert np.array_equal(one, two)
+
+
+def test_no_splats_leave_black(device):
+    scene, size = make_scene(np.random.default_rng(0), n=1, width=20, height=40, channels=4)
+    scene["means2d"][:] = 1e6
+    run = Composited(scene, size, device)
+    image, transmittance, median = run.planes()
+    assert run.slots == 0 and not image.any() and not median.any() and (transmittance == 1).all()
+    assert not any(g.any() for g in run.adjoint(np.ones_like(image), np.ones_like(transmittance)))
+
+
+def test_one_splat_is_its_formula(device):
+    scene = {
+        "means2d": np.array([[17.25, 9.5]], np.float32),
+        "conics": np.array([[0.2, 0.05, 0.1, 0.8]], np.float32),
+        "depths": np.array([2.5], np.float32),
+        "features": np.array([[0.5, 1.0, 2.0, 2.5]], np.float32),
+    }
+    image, transmittance, median = Composited(scene, (40, 24), device).planes()
+    dy, dx = np.mgrid[:24, :40] - np.array([9.5, 17.25])[:, None, None]
+    alpha = 0.8 * np.exp(-0.5 * (0.2 * dx**2 + 0.1 * dy**2) - 0.05 * dx * dy)
+    alpha[alpha < 1 / 255] = 0
+    assert np.abs(transmittance - (1 - alpha)).max() < 2e-6
+    assert np.abs(image - scene["features"][0][:, None, None] * alpha).max() < 5e-6
+    assert np.array_equal(median, np.where(alpha > 0.5, np.float32(2.5), np.float32(0)))
+
+
+@pytest.mark.parametrize("opacity", [0.0, 1.0])
+def test_extreme_opacities(device, rng, opacity):
+    scene, size = make_scene(rng, opacity=(opacity, opacity))
+    seeds = random_gradients(rng, 20, size)
+    run = Composited(scene, size, device, everywhere=True)
+    gradients = run.adjoint(*seeds)
+    values, theirs = oracle(scene, size, *seeds)
+    for mine, reference_plane in zip(run.planes(), values, strict=True):
+        assert np.abs(mine - reference_plane).max() < 2e-5
+    for mine, reference_gradient in zip(gradients, theirs, strict=True):
+        if opacity:
+            assert_same_direction(mine, reference_gradient)
+        else:
+            assert not mine.any()
+
+
+def test_nan_stays_in_its_tiles(device, rng):
+    scene, size = make_scene(rng, n=40, width=64, height=64, channels=4, sigma=(0.6, 2.0))
+    scene["means2d"][0] = (8, 8)
+    scene["conics"][0] = (1, 0, 1, 0.5)
+    scene["features"][0] = np.nan
+    scene["conics"][1, 0] = np.nan
+    scene["means2d"][1] = (8, 8)
+    run = Composited(scene, size, device, everywhere=False)
+    image, transmittance, _ = run.planes()
+    assert np.isnan(image[:, 8, 8]).all() and np.isfinite(transmittance).all()
+    assert np.isfinite(image[:, 16:]).all() and np.isfinite(image[:, :, 16:]).all()
+
+
+def test_splats_behind_an_opaque_wall_get_nothing(device, rng):
+    """More splats than any chunk or block; the wall ends every pixel, so what follows is never reached."""
+    scene, size = make_scene(rng, n=700, width=16, height=16, channels=4, sigma=(2, 4))
+    wall = np.argsort(scene["depths"])[:40]
+    scene["conics"][wall] = (1e-6, 0, 1e-6, 0.9)
+    seeds = random_gradients(rng, 4, size)
+    run = Composited(scene, size, device, everywhere=True)
+    assert run.slots == 700 and (run.planes()[1] < 1e-4).all()
+    gradients = run.adjoint(*seeds)
+    _, theirs = oracle(scene, size, *seeds)
+    assert not gradients[2][np.argsort(scene["depths"])[40:]].any()
+    assert_same_direction(gradients[2], theirs[2])
+
+
+@settings(deadline=None, max_examples=15)
+@given(n=st.integers(1, 90), width=st.integers(1, 50), height=st.integers(1, 50), seed=st.integers(0, 2**31))
+def test_any_size_matches_the_oracle(n, width, height, seed):
+    rng = np.random.default_rng(seed)
+    scene, size = make_scene(rng, n=n, width=width, height=height, channels=4, sigma=(0.3, 12.0))
+    for ours, theirs in zip(
+        Composited(scene, size, "cpu").planes()[:2], oracle(scene, size)[:2], strict=True
+    ):
+        # A contribution at the threshold may fall on either side of it.
+        assert np.abs(ours - theirs).max() < 5e-3 and np.abs(ours - theirs).mean() < 1e-5
+
+
+def test_misfits_are_named(device, rng):
+    scene, size = make_scene(rng, n=3, channels=4)
+    run = Composited(scene, size, device)
+    run.splats.features = wp.zeros((3, 5), dtype=float, device=device)
+    with pytest.raises(ValueError, match="5 channels"):
+        run.forward()
+    run.splats.features = wp.zeros((3, 20), dtype=float, device=device)
+    with pytest.raises(ValueError, match="needed"):
+        run.forward()
