@@ -53,7 +53,7 @@ class Interruption:
 
 def load_kernels(device: str, display: Display) -> None:
     """Load every kernel imported so far, and say so when they must be compiled first."""
-    modules = loading.kernel_modules()
+    modules = loading.imported_kernel_modules(device)
     cold = loading.uncompiled(modules, device)
     display.stage(f"compiling kernels (first run only): {len(cold)} modules" if cold else "loading kernels")
     loading.load(modules, device)

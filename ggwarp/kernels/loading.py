@@ -12,6 +12,7 @@ import os
 import pkgutil
 import sys
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -19,21 +20,35 @@ import warp as wp
 
 import ggwarp.kernels
 
+ONE_DEVICE = {
+    "composite_cpu": "cpu",
+    "composite_cpu_adjoint": "cpu",
+    "composite_cuda": "cuda",
+    "identity_pixels": "cuda",
+    "tiles_parallel": "cuda",
+}
+"""Modules whose kernels run on one kind of device only."""
 
-def kernel_modules(*, imported_only: bool = True) -> list[Any]:
-    """Return this package's Warp modules that hold kernels, by name.
 
-    Args:
-        imported_only: leave out Python modules that nothing has imported; else import them all.
-    """
-    names = [f"ggwarp.kernels.{m.name}" for m in pkgutil.iter_modules(ggwarp.kernels.__path__)]
-    if imported_only:
-        names = [n for n in names if n in sys.modules]
-    else:
-        for name in names:
-            importlib.import_module(name)
-    modules = [wp.get_module(name) for name in sorted(names)]
-    return [m for m in modules if m.kernels]
+def all_kernel_modules() -> list[Any]:
+    """Import this package's modules and return the Warp modules that hold kernels, by name."""
+    return _with_kernels(importlib.import_module(name).__name__ for name in _names())
+
+
+def imported_kernel_modules(device: Any) -> list[Any]:
+    """Return the Warp modules with kernels, among those imported so far, that ``device`` runs."""
+    kind = "cpu" if wp.get_device(device).is_cpu else "cuda"
+    names = (n for n in _names() if ONE_DEVICE.get(n.rsplit(".", 1)[-1], kind) == kind)
+    return _with_kernels(n for n in names if n in sys.modules)
+
+
+def _names() -> list[str]:
+    found = (m.name for m in pkgutil.iter_modules(ggwarp.kernels.__path__))
+    return sorted(f"ggwarp.kernels.{name}" for name in found)
+
+
+def _with_kernels(names: Iterable[str]) -> list[Any]:
+    return [m for m in map(wp.get_module, names) if m.kernels]
 
 
 def uncompiled(modules: list[Any], device: Any) -> list[Any]:

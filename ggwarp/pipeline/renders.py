@@ -17,8 +17,9 @@ from ggwarp.types import Float32, Rendered
 class RenderWriter:
     """Writes ``frame%06d_{rgb,depth,objects,features}.png`` into one folder.
 
-    Depth is that of the surface, 16-bit, millimetres; objects are 8- or 16-bit ids as the masks name them; features
-    are the identity image's three principal components, with one basis for the whole run.
+    Depth is that of the surface, 16-bit, millimetres; objects are 8- or 16-bit ids as the masks
+    name them; features are the identity image's three principal components, with one basis for the
+    whole run.
     """
 
     def __init__(self, folder: Path, identities: Float32 | None) -> None:

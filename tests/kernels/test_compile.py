@@ -6,7 +6,7 @@ import warp as wp
 
 from ggwarp.kernels import loading
 
-MODULES = loading.kernel_modules(imported_only=False)
+MODULES = loading.all_kernel_modules()
 
 
 def test_modules_are_found():

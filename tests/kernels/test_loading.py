@@ -8,7 +8,7 @@ from ggwarp.kernels import loading
 _COLD_AND_WARM = """
 from ggwarp.kernels import compact, loading
 loading.init_quietly()
-modules = loading.kernel_modules()
+modules = loading.imported_kernel_modules("cpu")
 print(*(m.name for m in modules))
 print(len(loading.uncompiled(modules, "cpu")))
 loading.load(modules, "cpu")
@@ -48,10 +48,13 @@ def test_what_warp_says_otherwise_is_passed_on(monkeypatch, capfd):
     assert capfd.readouterr().err == "something else\n"
 
 
-def test_all_modules_or_those_imported():
-    every = loading.kernel_modules(imported_only=False)
-    assert {m.name for m in loading.kernel_modules()} == {m.name for m in every}
-    assert all(m.kernels for m in every)
+def test_every_device_loads_its_own_form():
+    every = {m.name for m in loading.all_kernel_modules()}
+    on_cpu = {m.name for m in loading.imported_kernel_modules("cpu")}
+    assert every - on_cpu == {
+        f"ggwarp.kernels.{name}" for name, device in loading.ONE_DEVICE.items() if device == "cuda"
+    }
+    assert {f"ggwarp.kernels.{name}" for name in loading.ONE_DEVICE} <= every
 
 
 def test_nothing_to_load(device):

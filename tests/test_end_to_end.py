@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command with everything real, on a few small frames of the built-in office."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ggwarp import run
+from ggwarp.io.ply import read_ply
+
+SMALL = ["--seq", "office", "--scale", "0.1", "--device", "cpu"]
+
+
+@pytest.fixture(scope="module")
+def first(tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("run") / "first"
+    assert run.main([*SMALL, "--frames", "0:5", "--out", str(out)]) == 0
+    return out
+
+
+def test_tracking_and_mapping_work(first):
+    metrics = json.loads((first / "metrics.json").read_text())
+    assert metrics["dataset"] == "synthetic" and metrics["frames"] == 5 and metrics["frames_lost"] == 0
+    assert metrics["ate_rmse_cm"] < 1.0
+    assert metrics["psnr"] > 18.0 and metrics["ssim"] > 0.5 and metrics["depth_l1_cm"] < 20.0
+    assert 0.3 < metrics["miou"] <= 1.0
+
+
+def test_the_map_knows_its_objects(first):
+    gaussians = read_ply(first / "map.ply")
+    objects = json.loads((first / "objects.json").read_text())["objects"]
+    assert len(gaussians) == json.loads((first / "metrics.json").read_text())["gaussians"]
+    assert gaussians.object_ids is not None and len(objects) > 2
+    for entry in objects:
+        assert entry["count"] == np.count_nonzero(gaussians.object_ids == entry["id"])
+
+
+def test_a_second_run_is_the_same_to_the_bit(first):
+    second = first.with_name("second")
+    assert run.main(["--config", str(first / "config.toml"), "--out", str(second)]) == 0
+    for name in ("map.ply", "trajectory.txt", "objects.json", "renders/frame000003_rgb.png"):
+        assert (second / name).read_bytes() == (first / name).read_bytes(), name
+
+
+@pytest.mark.parametrize("options", [["--preset", "gs-icp"], ["--tracker", "ground-truth"], ["--fps", "2"]])
+def test_other_ways_to_run(options, tmp_path):
+    assert run.main([*SMALL, "--frames", "0:3", "--out", str(tmp_path), *options]) == 0
+    metrics = json.loads((tmp_path / "metrics.json").read_text())
+    assert metrics["frames"] == 3 and metrics["ate_rmse_cm"] < 1.0
+    if "gs-icp" in options:
+        assert metrics["miou"] is None
+        assert read_ply(tmp_path / "map.ply").object_ids is None
+        assert not list((tmp_path / "renders").glob("*_objects.png"))
+
+
+def test_ctrl_c_from_outside(tmp_path):
+    command = [sys.executable, "-u", "-m", "ggwarp.run", *SMALL, "--out", str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None and process.stderr is not None
+        for line in process.stdout:
+            if line.startswith("frames: "):
+                process.send_signal(signal.SIGINT)
+                break
+        rest, errors = process.communicate(timeout=120)
+    assert process.returncode == 130, errors
+    assert f"saved in {tmp_path}" in rest and "Traceback" not in errors
+    metrics = json.loads((tmp_path / "metrics.json").read_text())
+    assert metrics["frames"] > 0 and len(read_ply(tmp_path / "map.ply")) == metrics["gaussians"]
