@@ -1,0 +1,329 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ray-casting of a scene of primitives: exact depth, instance ids, textured colour, baked soft light.
+
+Light is a function of the surface point only: three area lights whose visibility, with the
+openness of the surroundings, is baked on a coarse grid, so that a map can represent it.
+"""
+
+from typing import Any
+
+import warp as wp
+
+from ggwarp.kernels import launch
+from ggwarp.kernels.math import rotation_of, translation_of
+from ggwarp.kernels.primitives import Primitive, intersect
+from ggwarp.kernels.shading import Light, shade
+
+wp.set_module_options({"enable_backward": False})
+
+TILE = 8
+"""Pixels along the side of a tile that shares one list of candidate primitives."""
+
+_K_TILE = wp.constant(TILE)
+_FAR = wp.constant(1.0e10)
+_NEAREST = wp.constant(1.0e-3)
+_LIGHT_RAYS = wp.constant(8)
+_OPEN_RAYS = wp.constant(14)
+_OPEN_REACH = wp.constant(0.5)
+
+
+@wp.struct
+class RayCamera:
+    """A pinhole camera of ``width`` x ``height`` pixels."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    width: int
+    height: int
+
+
+@wp.struct
+class Hit:
+    """A ray's first crossing: its parameter, the primitive (-1: none), the unit shape's normal."""
+
+    t: float
+    index: int
+    normal: wp.vec3
+
+
+@wp.func
+def _blocked(
+    primitives: wp.array[Primitive], bounds: wp.array[wp.vec4], origin: wp.vec3, step: wp.vec3, reach: float
+) -> bool:
+    """Whether a primitive lies on the segment from ``origin`` along ``step``, up to ``reach`` of it."""
+    length2 = wp.dot(step, step)
+    for i in range(bounds.shape[0]):
+        ball = bounds[i]
+        to = wp.vec3(ball[0], ball[1], ball[2]) - origin
+        along = wp.clamp(wp.dot(to, step) / length2, 0.0, reach)
+        off = to - along * step
+        if wp.dot(off, off) <= ball[3] * ball[3]:
+            hit = intersect(primitives[i], origin, step, 0.0)
+            if hit[0] < reach:
+                return True
+    return False
+
+
+@wp.kernel
+def _bake_light_kernel(offset: int, primitives: wp.array[Primitive], bounds: wp.array[wp.vec4], light: Light):
+    index = offset + wp.tid()
+    nz = light.grid.shape[2]
+    ny = light.grid.shape[1]
+    k = index % nz
+    j = (index // nz) % ny
+    i = index // (nz * ny)
+    point = light.origin + light.cell * wp.vec3(float(i), float(j), float(k))
+    seen = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    for s in range(3):
+        centre = wp.vec3(light.centre[s, 0], light.centre[s, 1], light.centre[s, 2])
+        half_u = wp.vec3(light.half_u[s, 0], light.half_u[s, 1], light.half_u[s, 2])
+        half_v = wp.vec3(light.half_v[s, 0], light.half_v[s, 1], light.half_v[s, 2])
+        open = float(0.0)
+        for r in range(_LIGHT_RAYS):
+            # A fixed lattice over the light: neighbouring cells agree, so shadows stay smooth.
+            a = (float(r) + 0.5) / float(_LIGHT_RAYS) * 2.0 - 1.0
+            b = (float(r) * 0.6180340 + 0.31) * 2.0
+            b = b - 2.0 * wp.floor(0.5 * b) - 1.0
+            step = centre + a * half_u + b * half_v - point
+            if not _blocked(primitives, bounds, point, step, 0.97):
+                open += 1.0
+        seen[s] = open / float(_LIGHT_RAYS)
+    open = float(0.0)
+    for r in range(_OPEN_RAYS):
+        z = 1.0 - (2.0 * float(r) + 1.0) / float(_OPEN_RAYS)
+        angle = 2.3999632 * float(r)
+        ring = wp.sqrt(1.0 - z * z)
+        step = wp.vec3(ring * wp.cos(angle), ring * wp.sin(angle), z) * _OPEN_REACH
+        if not _blocked(primitives, bounds, point, step, 1.0):
+            open += 1.0
+    seen[3] = open / float(_OPEN_RAYS)
+    light.grid[i, j, k] = seen
+
+
+@wp.func
+def _pixel_ray(camera: RayCamera, T_wc: wp.mat44, u: float, v: float) -> wp.vec3:
+    """World direction of a pixel's ray, its length such that the ray parameter is the z-depth."""
+    return rotation_of(T_wc) * wp.vec3((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, 1.0)
+
+
+@wp.func
+def _insert(
+    lists: wp.array2d[int], starts: wp.array2d[float], tile: int, count: int, index: int, start: float
+):
+    """Put a primitive into a tile's list of ``count``, kept by ascending start."""
+    place = int(0)
+    for k in range(count):
+        if starts[tile, k] <= start:
+            place = k + 1
+    for k in range(count, place, -1):
+        starts[tile, k] = starts[tile, k - 1]
+        lists[tile, k] = lists[tile, k - 1]
+    starts[tile, place] = start
+    lists[tile, place] = index
+
+
+@wp.kernel
+def _cull_kernel(
+    offset: int,
+    bounds: wp.array[wp.vec4],
+    camera: RayCamera,
+    T_wc: wp.mat44,
+    lists: wp.array2d[int],
+    starts: wp.array2d[float],
+    counts: wp.array[int],
+):
+    """Per tile: the primitives its cone of rays may meet, by the least depth they may have."""
+    tile = offset + wp.tid()
+    tiles_x = (camera.width + _K_TILE - 1) // _K_TILE
+    half = 0.5 * float(_K_TILE)
+    u = float((tile % tiles_x) * _K_TILE) - 0.5 + half
+    v = float((tile // tiles_x) * _K_TILE) - 0.5 + half
+    axis = wp.normalize(_pixel_ray(camera, T_wc, u, v))
+    cosine = float(1.0)
+    for k in range(4):
+        du = wp.where(k % 2 == 0, -half, half)
+        dv = wp.where(k < 2, -half, half)
+        cosine = wp.min(cosine, wp.dot(axis, wp.normalize(_pixel_ray(camera, T_wc, u + du, v + dv))))
+    sine = wp.sqrt(wp.max(0.0, 1.0 - cosine * cosine))
+    origin = translation_of(T_wc)
+    forward = wp.vec3(T_wc[0, 2], T_wc[1, 2], T_wc[2, 2])
+    count = int(0)
+    for i in range(bounds.shape[0]):
+        ball = bounds[i]
+        to = wp.vec3(ball[0], ball[1], ball[2]) - origin
+        along = wp.dot(to, axis)
+        across = wp.sqrt(wp.max(0.0, wp.dot(to, to) - along * along))
+        if along > -ball[3] and across * cosine - along * sine <= ball[3]:
+            start = wp.dot(to, forward) - ball[3]
+            _insert(lists, starts, tile, count, i, start)
+            count += 1
+    counts[tile] = count
+
+
+@wp.func
+def _cast(
+    primitives: wp.array[Primitive],
+    lists: wp.array2d[int],
+    starts: wp.array2d[float],
+    count: int,
+    tile: int,
+    origin: wp.vec3,
+    direction: wp.vec3,
+) -> Hit:
+    best = Hit()
+    best.t = _FAR
+    best.index = -1
+    for c in range(count):
+        if starts[tile, c] > best.t:
+            break
+        i = lists[tile, c]
+        hit = intersect(primitives[i], origin, direction, _NEAREST)
+        if hit[0] < best.t:
+            best.t = hit[0]
+            best.index = i
+            best.normal = wp.vec3(hit[1], hit[2], hit[3])
+    return best
+
+
+@wp.func
+def _byte(x: float) -> wp.uint8:
+    return wp.uint8(wp.int32(wp.clamp(x, 0.0, 1.0) * 255.0 + 0.5))
+
+
+@wp.func
+def _sample_ray(camera: RayCamera, T_wc: wp.mat44, column: int, row: int, sample: int) -> wp.vec3:
+    """Ray through a pixel's centre (sample 0) or one of its four quarters (1 to 4)."""
+    du = float(0.0)
+    dv = float(0.0)
+    if sample > 0:
+        du = wp.where(sample % 2 == 1, -0.25, 0.25)
+        dv = wp.where(sample < 3, -0.25, 0.25)
+    return _pixel_ray(camera, T_wc, float(column) + du, float(row) + dv)
+
+
+@wp.kernel
+def _render_kernel(
+    offset: int,
+    primitives: wp.array[Primitive],
+    lists: wp.array2d[int],
+    starts: wp.array2d[float],
+    counts: wp.array[int],
+    light: Light,
+    camera: RayCamera,
+    T_wc: wp.mat44,
+    samples: int,
+    depth: wp.array2d[float],
+    objects: wp.array2d[int],
+    colour: wp.array3d[wp.uint8],
+):
+    pixel = offset + wp.tid()
+    row = pixel // camera.width
+    column = pixel % camera.width
+    tile = (row // _K_TILE) * ((camera.width + _K_TILE - 1) // _K_TILE) + column // _K_TILE
+    count = counts[tile]
+    origin = translation_of(T_wc)
+    centre = Hit()
+    same = int(1)
+    corner = wp.vec3(0.0, 0.0, 0.0)
+    side = wp.vec3(0.0, 0.0, 0.0)
+    down = wp.vec3(0.0, 0.0, 0.0)
+    # Sample 0 is the pixel's centre, the others are its quarters. ``samples`` is an argument (4), not a
+    # constant, to keep these loops from being unrolled: it would multiply the compile time.
+    for s in range(samples + 1):
+        direction = _sample_ray(camera, T_wc, column, row, s)
+        hit = _cast(primitives, lists, starts, count, tile, origin, direction)
+        if s == 0:
+            centre = hit
+        elif same == 1:
+            if hit.index != centre.index or wp.dot(hit.normal, centre.normal) < 0.8 * wp.dot(
+                centre.normal, centre.normal
+            ):
+                same = 0
+            point = hit.t * direction
+            if s == 1:
+                corner = point
+            elif s == 2:
+                side = point - corner
+            elif s == 3:
+                down = point - corner
+    rgb = wp.vec3(0.0, 0.0, 0.0)
+    shaded = wp.where(same == 1, 1, samples)
+    for s in range(shaded):
+        hit = centre
+        direction = _sample_ray(camera, T_wc, column, row, 0)
+        if same == 0:
+            direction = _sample_ray(camera, T_wc, column, row, s + 1)
+            hit = _cast(primitives, lists, starts, count, tile, origin, direction)
+            side = wp.vec3(T_wc[0, 0], T_wc[1, 0], T_wc[2, 0]) * (0.5 * hit.t / camera.fx)
+            down = wp.vec3(T_wc[0, 1], T_wc[1, 1], T_wc[2, 1]) * (0.5 * hit.t / camera.fy)
+        if hit.index >= 0:
+            rgb += shade(primitives[hit.index], origin + hit.t * direction, hit.normal, side, down, light)
+    rgb = rgb / float(shaded)
+    if centre.index >= 0:
+        depth[row, column] = centre.t
+        objects[row, column] = primitives[centre.index].object_id
+    else:
+        depth[row, column] = 0.0
+        objects[row, column] = 0
+    for c in range(3):
+        colour[row, column, c] = _byte(rgb[c])
+
+
+def bake_light(primitives: Any, bounds: Any, light: Any, *, device: Any) -> None:
+    """Fill ``light.grid`` [nx, ny, nz] with what each cell's centre sees of the lights and around it.
+
+    Args:
+        primitives: [n] Primitive, those that cast shadows.
+        bounds: [n] vec4, a ball (centre, radius) around each.
+        light: its lights, origin and cell are set, its grid allocated.
+    """
+    cells = light.grid.shape[0] * light.grid.shape[1] * light.grid.shape[2]
+    launch.launch_split(_bake_light_kernel, cells, inputs=[primitives, bounds, light], device=device)
+
+
+def render(
+    primitives: Any,
+    bounds: Any,
+    light: Any,
+    camera: Any,
+    T_wc: Any,
+    *,
+    lists: Any,
+    starts: Any,
+    counts: Any,
+    depth: Any,
+    objects: Any,
+    colour: Any,
+    device: Any,
+) -> None:
+    """Render one view.
+
+    Args:
+        primitives: [n] Primitive.
+        bounds: [n] vec4, a ball (centre, radius) around each, metres, world frame.
+        light: Light, baked.
+        camera: RayCamera.
+        T_wc: wp.mat44 camera-to-world.
+        lists, starts: [tiles, n] int and float, scratch; tiles are TILE pixels square, row by row.
+        counts: [tiles] int, scratch.
+        depth: [h, w] float out, z-depth at pixel centres, metres; 0 = nothing.
+        objects: [h, w] int out, object ids; 0 = nothing.
+        colour: [h, w, 3] uint8 out, 2x2 samples a pixel.
+    """
+    launch.launch_split(
+        _cull_kernel,
+        counts.shape[0],
+        inputs=[bounds, camera, T_wc],
+        outputs=[lists, starts, counts],
+        device=device,
+    )
+    launch.launch_split(
+        _render_kernel,
+        depth.shape[0] * depth.shape[1],
+        inputs=[primitives, lists, starts, counts, light, camera, T_wc, 4],
+        outputs=[depth, objects, colour],
+        device=device,
+        min_piece=2048,
+    )
