@@ -52,6 +52,107 @@ def _make(channels: int):
     places = [r + results * int(f"{k:04b}"[::-1], 2) for r in range(results) for k in range(16)]
     moments = [places[channels + k] for k in range(6)]
 
+    # Each function is called once, so that LLVM inlines it.
+    @wp.func
+    def take_products(f: feature_row, rect: wp.vec4i, g: wp.array[patch_channels], products: wp.array[vec16]):
+        """q of the splat at every pixel of its patches."""
+        for y in range(rect[1], rect[3]):
+            for x in range(rect[0], rect[2]):
+                patch = y * 4 + x
+                gp = g[patch]
+                q = vec16()
+                for c in range(groups):
+                    part = gp[4 * c] * f[4 * c]
+                    for i in range(1, 4):
+                        part += gp[4 * c + i] * f[4 * c + i]
+                    q += part
+                for c in range(grouped, channels):
+                    q += gp[c] * f[c]
+                products[patch] = q
+
+    @wp.func
+    def walk(
+        s: vec8,
+        rect: wp.vec4i,
+        products: wp.array[vec16],
+        transmittances: wp.array[vec16],
+        behind: wp.array[vec16],
+        weights: wp.array[vec16],
+        sums: wp.array[vec16],
+    ):
+        """Pass the splat: write its weights, and the moments of d loss / d ln alpha, still by lane."""
+        m0 = vec16()
+        mx = vec16()
+        my = vec16()
+        mxx = vec16()
+        mxy = vec16()
+        myy = vec16()
+        for y in range(rect[1], rect[3]):
+            for x in range(rect[0], rect[2]):
+                patch = y * 4 + x
+                dx = patch_x(patch) - vec16(s[0])
+                dy = patch_y(patch) - vec16(s[1])
+                power = wp.cw_mul(dx, dx * s[2] + dy * s[3]) + wp.cw_mul(dy, dy * s[4]) + vec16(s[5])
+                raw = exp(power)
+                T = transmittances[patch]
+                q = products[patch]
+                rest = behind[patch]
+                w = vec16()
+                d = vec16()
+                for j in range(16):
+                    counted = power[j] >= LOG_ALPHA_MIN and T[j] >= TRANSMITTANCE_MIN
+                    alpha = wp.where(counted, wp.min(raw[j], ALPHA_MAX), 0.0)
+                    w[j] = alpha * T[j]
+                    rest[j] = rest[j] - w[j] * q[j]
+                    d_alpha = T[j] * q[j] - rest[j] / (1.0 - alpha)
+                    d[j] = wp.where(raw[j] < ALPHA_MAX, alpha * d_alpha, 0.0)
+                    T[j] = T[j] - w[j]
+                transmittances[patch] = T
+                behind[patch] = rest
+                weights[patch] = w
+                dx_d = wp.cw_mul(d, dx)
+                dy_d = wp.cw_mul(d, dy)
+                m0 += d
+                mx += dx_d
+                my += dy_d
+                mxx += wp.cw_mul(dx_d, dx)
+                mxy += wp.cw_mul(dx_d, dy)
+                myy += wp.cw_mul(dy_d, dy)
+        sums[wp.static(moments[0])] = m0
+        sums[wp.static(moments[1])] = mx
+        sums[wp.static(moments[2])] = my
+        sums[wp.static(moments[3])] = mxx
+        sums[wp.static(moments[4])] = mxy
+        sums[wp.static(moments[5])] = myy
+
+    @wp.func
+    def take_weighted(
+        rect: wp.vec4i, g: wp.array[patch_channels], weights: wp.array[vec16], sums: wp.array[vec16]
+    ):
+        """The gradient of the splat's features, still by lane."""
+        acc = patch_channels()
+        for y in range(rect[1], rect[3]):
+            for x in range(rect[0], rect[2]):
+                patch = y * 4 + x
+                w = weights[patch]
+                gp = g[patch]
+                for c in range(channels):
+                    acc[c] += wp.cw_mul(w, gp[c])
+        for c in range(channels):
+            sums[wp.static(places[c])] = acc[c]
+
+    @wp.func
+    def fold(sums: wp.array[vec16], halves: int):
+        """Sum over lanes; ``halves`` is half the vectors."""
+        for i in range(halves):
+            sums[i] = fold_8(sums[i], sums[i + halves])
+        for i in range(halves // 2):
+            sums[i] = fold_4(sums[i], sums[i + halves // 2])
+        for i in range(halves // 4):
+            sums[i] = fold_2(sums[i], sums[i + halves // 4])
+        for i in range(halves // 8):
+            sums[i] = fold_1(sums[i], sums[i + halves // 8])
+
     @wp.kernel(name=f"composite_cpu_adjoint_{channels}")
     def adjoint(
         offset: int,
@@ -132,83 +233,12 @@ def _make(channels: int):
                 rows[k] = feature_rows[gaussian]
             for k in range(size):
                 slot = slots[k]
-                f = rows[k]
                 s = quadratic(splats[k], tile_x, tile_y)
                 rect = patch_rect(s) * transparent
-                for y in range(rect[1], rect[3]):
-                    for x in range(rect[0], rect[2]):
-                        patch = y * 4 + x
-                        gp = g[patch]
-                        q = vec16()
-                        for c in range(groups):
-                            part = gp[4 * c] * f[4 * c]
-                            for i in range(1, 4):
-                                part += gp[4 * c + i] * f[4 * c + i]
-                            q += part
-                        for c in range(grouped, channels):
-                            q += gp[c] * f[c]
-                        products[patch] = q
-                m0 = vec16()
-                mx = vec16()
-                my = vec16()
-                mxx = vec16()
-                mxy = vec16()
-                myy = vec16()
-                for y in range(rect[1], rect[3]):
-                    for x in range(rect[0], rect[2]):
-                        patch = y * 4 + x
-                        dx = patch_x(patch) - vec16(s[0])
-                        dy = patch_y(patch) - vec16(s[1])
-                        power = wp.cw_mul(dx, dx * s[2] + dy * s[3]) + wp.cw_mul(dy, dy * s[4]) + vec16(s[5])
-                        raw = exp(power)
-                        T = transmittances[patch]
-                        q = products[patch]
-                        rest = behind[patch]
-                        w = vec16()
-                        d = vec16()
-                        for j in range(16):
-                            counted = power[j] >= LOG_ALPHA_MIN and T[j] >= TRANSMITTANCE_MIN
-                            alpha = wp.where(counted, wp.min(raw[j], ALPHA_MAX), 0.0)
-                            w[j] = alpha * T[j]
-                            rest[j] = rest[j] - w[j] * q[j]
-                            d_alpha = T[j] * q[j] - rest[j] / (1.0 - alpha)
-                            d[j] = wp.where(raw[j] < ALPHA_MAX, alpha * d_alpha, 0.0)
-                            T[j] = T[j] - w[j]
-                        transmittances[patch] = T
-                        behind[patch] = rest
-                        weights[patch] = w
-                        dx_d = wp.cw_mul(d, dx)
-                        dy_d = wp.cw_mul(d, dy)
-                        m0 += d
-                        mx += dx_d
-                        my += dy_d
-                        mxx += wp.cw_mul(dx_d, dx)
-                        mxy += wp.cw_mul(dx_d, dy)
-                        myy += wp.cw_mul(dy_d, dy)
-                sums[wp.static(moments[0])] = m0
-                sums[wp.static(moments[1])] = mx
-                sums[wp.static(moments[2])] = my
-                sums[wp.static(moments[3])] = mxx
-                sums[wp.static(moments[4])] = mxy
-                sums[wp.static(moments[5])] = myy
-                acc = patch_channels()
-                for y in range(rect[1], rect[3]):
-                    for x in range(rect[0], rect[2]):
-                        patch = y * 4 + x
-                        w = weights[patch]
-                        gp = g[patch]
-                        for c in range(channels):
-                            acc[c] += wp.cw_mul(w, gp[c])
-                for c in range(channels):
-                    sums[wp.static(places[c])] = acc[c]
-                for i in range(halves):
-                    sums[i] = fold_8(sums[i], sums[i + halves])
-                for i in range(halves // 2):
-                    sums[i] = fold_4(sums[i], sums[i + halves // 2])
-                for i in range(halves // 4):
-                    sums[i] = fold_2(sums[i], sums[i + halves // 4])
-                for i in range(halves // 8):
-                    sums[i] = fold_1(sums[i], sums[i + halves // 8])
+                take_products(rows[k], rect, g, products)
+                walk(s, rect, products, transmittances, behind, weights, sums)
+                take_weighted(rect, g, weights, sums)
+                fold(sums, halves)
                 d_features[slot] = total_row[0]
                 x_moment = totals[channels + 1]
                 y_moment = totals[channels + 2]
