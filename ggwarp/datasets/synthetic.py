@@ -118,6 +118,7 @@ class SyntheticOffice:
             lists=wp.empty((tiles, count), dtype=int, device=device),
             starts=wp.empty((tiles, count), dtype=float, device=device),
             counts=wp.empty(tiles, dtype=int, device=device),
+            faces=wp.empty((h, w), dtype=int, device=device),
             depth=depth,
             objects=objects,
             colour=colour,

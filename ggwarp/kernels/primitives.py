@@ -140,14 +140,18 @@ def _hit_rectangle(o: wp.vec3, d: wp.vec3, nearest: float) -> wp.vec4:
     return wp.vec4(t, 0.0, 0.0, wp.where(d[2] > 0.0, -1.0, 1.0))
 
 
-@wp.func
-def intersect(p: Primitive, origin: wp.vec3, direction: wp.vec3, nearest: float) -> wp.vec4:
+@wp.func(inline=False)
+def intersect(
+    primitives: wp.array[Primitive], index: int, origin: wp.vec3, direction: wp.vec3, nearest: float
+) -> wp.vec4:
     """First crossing of a primitive's surface beyond ``nearest``, from outside or inside.
 
     Returns the ray parameter (1e10: none) and the outward normal of the unit shape, not normalised.
     """
-    o = p.to_unit * (origin - p.centre)
-    d = p.to_unit * direction
+    kind = primitives[index].kind
+    to_unit = primitives[index].to_unit
+    o = to_unit * (origin - primitives[index].centre)
+    d = to_unit * direction
     length2 = wp.dot(d, d)
     if not (length2 > 0.0):
         return wp.vec4(_FAR, 0.0, 0.0, 0.0)
@@ -156,12 +160,12 @@ def intersect(p: Primitive, origin: wp.vec3, direction: wp.vec3, nearest: float)
     o = o + shift * d
     limit = nearest - shift
     hit = wp.vec4(_FAR, 0.0, 0.0, 0.0)
-    if p.kind == _K_BOX:
+    if kind == _K_BOX:
         hit = _hit_box(o, d, limit)
-    elif p.kind == _K_SPHERE:
+    elif kind == _K_SPHERE:
         hit = _hit_sphere(o, d, limit)
-    elif p.kind == _K_FRUSTUM:
-        hit = _hit_frustum(o, d, p.taper, limit)
+    elif kind == _K_FRUSTUM:
+        hit = _hit_frustum(o, d, primitives[index].taper, limit)
     else:
         hit = _hit_rectangle(o, d, limit)
     if hit[0] < _FAR:
@@ -173,3 +177,19 @@ def intersect(p: Primitive, origin: wp.vec3, direction: wp.vec3, nearest: float)
 def world_normal(p: Primitive, n: wp.vec3) -> wp.vec3:
     """Unit world normal of a unit shape's normal ``n``."""
     return wp.normalize(wp.transpose(p.to_unit) * n)
+
+
+@wp.func
+def face_of(primitives: wp.array[Primitive], index: int, n: wp.vec3) -> int:
+    """Which smooth piece of a unit shape the normal ``n`` belongs to: 0 to 5."""
+    if primitives[index].kind == _K_BOX:
+        return (
+            int(n[0] > 0.5)
+            + 2 * int(n[1] > 0.5)
+            + 3 * int(n[1] < -0.5)
+            + 4 * int(n[2] > 0.5)
+            + 5 * int(n[2] < -0.5)
+        )
+    if primitives[index].kind == _K_FRUSTUM and n[0] == 0.0 and n[1] == 0.0:
+        return wp.where(n[2] > 0.0, 1, 2)
+    return 0

@@ -77,7 +77,7 @@ def noise(p: wp.vec3, seed: int) -> float:
     return 2.0 * wp.lerp(a, b, w) - 1.0
 
 
-@wp.func
+@wp.func(inline=False)
 def fbm(p: wp.vec3, width: float, octaves: int, seed: int) -> float:
     """Fractal noise, about [-1, 1]; ``width``: footprint in cells of the first octave."""
     total = float(0.0)
@@ -120,7 +120,7 @@ def cells(x: float, width: float) -> wp.vec3:
     return wp.vec3(first, last, share)
 
 
-@wp.func
+@wp.func(inline=False)
 def cell_value(u: float, v: float, wu: float, wv: float, seed: int) -> float:
     """A random value a unit cell in [0, 1), box-filtered, tending to 0.5 for wide footprints."""
     a = cells(u, wu)

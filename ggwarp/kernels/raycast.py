@@ -11,7 +11,7 @@ import warp as wp
 
 from ggwarp.kernels import launch
 from ggwarp.kernels.math import rotation_of, translation_of
-from ggwarp.kernels.primitives import Primitive, intersect
+from ggwarp.kernels.primitives import Primitive, face_of, intersect, world_normal
 from ggwarp.kernels.shading import Light, shade
 
 wp.set_module_options({"enable_backward": False})
@@ -48,7 +48,7 @@ class Hit:
     normal: wp.vec3
 
 
-@wp.func
+@wp.func(inline=False)
 def _blocked(
     primitives: wp.array[Primitive], bounds: wp.array[wp.vec4], origin: wp.vec3, step: wp.vec3, reach: float
 ) -> bool:
@@ -60,7 +60,7 @@ def _blocked(
         along = wp.clamp(wp.dot(to, step) / length2, 0.0, reach)
         off = to - along * step
         if wp.dot(off, off) <= ball[3] * ball[3]:
-            hit = intersect(primitives[i], origin, step, 0.0)
+            hit = intersect(primitives, i, origin, step, 0.0)
             if hit[0] < reach:
                 return True
     return False
@@ -106,6 +106,11 @@ def _bake_light_kernel(offset: int, primitives: wp.array[Primitive], bounds: wp.
 def _pixel_ray(camera: RayCamera, T_wc: wp.mat44, u: float, v: float) -> wp.vec3:
     """World direction of a pixel's ray, its length such that the ray parameter is the z-depth."""
     return rotation_of(T_wc) * wp.vec3((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, 1.0)
+
+
+@wp.func
+def _tile_of(camera: RayCamera, column: int, row: int) -> int:
+    return (row // _K_TILE) * ((camera.width + _K_TILE - 1) // _K_TILE) + column // _K_TILE
 
 
 @wp.func
@@ -162,7 +167,7 @@ def _cull_kernel(
     counts[tile] = count
 
 
-@wp.func
+@wp.func(inline=False)
 def _cast(
     primitives: wp.array[Primitive],
     lists: wp.array2d[int],
@@ -179,7 +184,7 @@ def _cast(
         if starts[tile, c] > best.t:
             break
         i = lists[tile, c]
-        hit = intersect(primitives[i], origin, direction, _NEAREST)
+        hit = intersect(primitives, i, origin, direction, _NEAREST)
         if hit[0] < best.t:
             best.t = hit[0]
             best.index = i
@@ -193,18 +198,60 @@ def _byte(x: float) -> wp.uint8:
 
 
 @wp.func
-def _sample_ray(camera: RayCamera, T_wc: wp.mat44, column: int, row: int, sample: int) -> wp.vec3:
-    """Ray through a pixel's centre (sample 0) or one of its four quarters (1 to 4)."""
-    du = float(0.0)
-    dv = float(0.0)
-    if sample > 0:
-        du = wp.where(sample % 2 == 1, -0.25, 0.25)
-        dv = wp.where(sample < 3, -0.25, 0.25)
-    return _pixel_ray(camera, T_wc, float(column) + du, float(row) + dv)
+def _cast_one(primitives: wp.array[Primitive], index: int, origin: wp.vec3, direction: wp.vec3) -> Hit:
+    """The crossing of a primitive that is known to be the first; ``index`` < 0: none."""
+    hit = Hit()
+    hit.index = index
+    if index >= 0:
+        crossing = intersect(primitives, index, origin, direction, _NEAREST)
+        hit.t = crossing[0]
+        hit.normal = wp.vec3(crossing[1], crossing[2], crossing[3])
+    return hit
 
 
 @wp.kernel
-def _render_kernel(
+def _trace_kernel(
+    offset: int,
+    primitives: wp.array[Primitive],
+    lists: wp.array2d[int],
+    starts: wp.array2d[float],
+    counts: wp.array[int],
+    camera: RayCamera,
+    T_wc: wp.mat44,
+    faces: wp.array2d[int],
+    depth: wp.array2d[float],
+    objects: wp.array2d[int],
+):
+    """What each pixel's centre sees; ``faces`` names the primitive and its face, -1: none."""
+    pixel = offset + wp.tid()
+    row = pixel // camera.width
+    column = pixel % camera.width
+    tile = _tile_of(camera, column, row)
+    direction = _pixel_ray(camera, T_wc, float(column), float(row))
+    hit = _cast(primitives, lists, starts, counts[tile], tile, translation_of(T_wc), direction)
+    if hit.index >= 0:
+        depth[row, column] = hit.t
+        objects[row, column] = primitives[hit.index].object_id
+        faces[row, column] = 8 * hit.index + face_of(primitives, hit.index, hit.normal)
+    else:
+        depth[row, column] = 0.0
+        objects[row, column] = 0
+        faces[row, column] = -1
+
+
+@wp.func
+def _on_tangent(normal: wp.vec3, direction: wp.vec3, shifted: wp.vec3) -> wp.vec3:
+    """How far a point at depth 1 moves on its tangent plane when its ray becomes ``shifted``."""
+    facing = wp.dot(normal, shifted)
+    # Seen edge-on the pixel's footprint has no end: held to 20 times its width.
+    least = 0.05 * wp.length(shifted)
+    if wp.abs(facing) < least:
+        facing = wp.where(facing < 0.0, -least, least)
+    return shifted * (wp.dot(normal, direction) / facing) - direction
+
+
+@wp.kernel
+def _shade_kernel(
     offset: int,
     primitives: wp.array[Primitive],
     lists: wp.array2d[int],
@@ -213,62 +260,43 @@ def _render_kernel(
     light: Light,
     camera: RayCamera,
     T_wc: wp.mat44,
-    samples: int,
-    depth: wp.array2d[float],
-    objects: wp.array2d[int],
+    faces: wp.array2d[int],
     colour: wp.array3d[wp.uint8],
 ):
     pixel = offset + wp.tid()
     row = pixel // camera.width
     column = pixel % camera.width
-    tile = (row // _K_TILE) * ((camera.width + _K_TILE - 1) // _K_TILE) + column // _K_TILE
-    count = counts[tile]
+    tile = _tile_of(camera, column, row)
     origin = translation_of(T_wc)
-    centre = Hit()
-    same = int(1)
-    corner = wp.vec3(0.0, 0.0, 0.0)
-    side = wp.vec3(0.0, 0.0, 0.0)
-    down = wp.vec3(0.0, 0.0, 0.0)
-    # Sample 0 is the pixel's centre, the others are its quarters. ``samples`` is an argument (4), not a
-    # constant, to keep these loops from being unrolled: it would multiply the compile time.
-    for s in range(samples + 1):
-        direction = _sample_ray(camera, T_wc, column, row, s)
-        hit = _cast(primitives, lists, starts, count, tile, origin, direction)
-        if s == 0:
-            centre = hit
-        elif same == 1:
-            if hit.index != centre.index or wp.dot(hit.normal, centre.normal) < 0.8 * wp.dot(
-                centre.normal, centre.normal
-            ):
-                same = 0
-            point = hit.t * direction
-            if s == 1:
-                corner = point
-            elif s == 2:
-                side = point - corner
-            elif s == 3:
-                down = point - corner
+    face = faces[row, column]
+    samples = int(1)
+    for k in range(9):
+        i = wp.clamp(row + k // 3 - 1, 0, camera.height - 1)
+        j = wp.clamp(column + k % 3 - 1, 0, camera.width - 1)
+        if faces[i, j] != face:
+            samples = 4
+    # One sample in the middle of a face, where its texture is filtered; four where faces meet.
+    spacing = wp.where(samples == 1, 0.0, 0.25)
+    reach = wp.where(samples == 1, 0.5, 0.25)
     rgb = wp.vec3(0.0, 0.0, 0.0)
-    shaded = wp.where(same == 1, 1, samples)
-    for s in range(shaded):
-        hit = centre
-        direction = _sample_ray(camera, T_wc, column, row, 0)
-        if same == 0:
-            direction = _sample_ray(camera, T_wc, column, row, s + 1)
-            hit = _cast(primitives, lists, starts, count, tile, origin, direction)
-            side = wp.vec3(T_wc[0, 0], T_wc[1, 0], T_wc[2, 0]) * (0.5 * hit.t / camera.fx)
-            down = wp.vec3(T_wc[0, 1], T_wc[1, 1], T_wc[2, 1]) * (0.5 * hit.t / camera.fy)
+    for s in range(samples):
+        u = float(column) + spacing * (2.0 * float(s % 2) - 1.0)
+        v = float(row) + spacing * (2.0 * float(s // 2) - 1.0)
+        direction = _pixel_ray(camera, T_wc, u, v)
+        hit = Hit()
+        if samples > 1:
+            hit = _cast(primitives, lists, starts, counts[tile], tile, origin, direction)
+        else:
+            hit = _cast_one(primitives, wp.where(face < 0, -1, face // 8), origin, direction)
         if hit.index >= 0:
-            rgb += shade(primitives[hit.index], origin + hit.t * direction, hit.normal, side, down, light)
-    rgb = rgb / float(shaded)
-    if centre.index >= 0:
-        depth[row, column] = centre.t
-        objects[row, column] = primitives[centre.index].object_id
-    else:
-        depth[row, column] = 0.0
-        objects[row, column] = 0
+            normal = world_normal(primitives[hit.index], hit.normal)
+            right = _pixel_ray(camera, T_wc, u + reach, v)
+            below = _pixel_ray(camera, T_wc, u, v + reach)
+            side = hit.t * _on_tangent(normal, direction, right)
+            down = hit.t * _on_tangent(normal, direction, below)
+            rgb += shade(primitives, hit.index, origin + hit.t * direction, hit.normal, side, down, light)
     for c in range(3):
-        colour[row, column, c] = _byte(rgb[c])
+        colour[row, column, c] = _byte(rgb[c] / float(samples))
 
 
 def bake_light(primitives: Any, bounds: Any, light: Any, *, device: Any) -> None:
@@ -293,6 +321,7 @@ def render(
     lists: Any,
     starts: Any,
     counts: Any,
+    faces: Any,
     depth: Any,
     objects: Any,
     colour: Any,
@@ -308,9 +337,10 @@ def render(
         T_wc: wp.mat44 camera-to-world.
         lists, starts: [tiles, n] int and float, scratch; tiles are TILE pixels square, row by row.
         counts: [tiles] int, scratch.
+        faces: [h, w] int, scratch.
         depth: [h, w] float out, z-depth at pixel centres, metres; 0 = nothing.
         objects: [h, w] int out, object ids; 0 = nothing.
-        colour: [h, w, 3] uint8 out, 2x2 samples a pixel.
+        colour: [h, w, 3] uint8 out; 2x2 samples where faces meet, else a filtered texture.
     """
     launch.launch_split(
         _cull_kernel,
@@ -320,10 +350,18 @@ def render(
         device=device,
     )
     launch.launch_split(
-        _render_kernel,
+        _trace_kernel,
         depth.shape[0] * depth.shape[1],
-        inputs=[primitives, lists, starts, counts, light, camera, T_wc, 4],
-        outputs=[depth, objects, colour],
+        inputs=[primitives, lists, starts, counts, camera, T_wc],
+        outputs=[faces, depth, objects],
+        device=device,
+        min_piece=2048,
+    )
+    launch.launch_split(
+        _shade_kernel,
+        depth.shape[0] * depth.shape[1],
+        inputs=[primitives, lists, starts, counts, light, camera, T_wc, faces],
+        outputs=[colour],
         device=device,
         min_piece=2048,
     )

@@ -68,16 +68,26 @@ def _light_at(light: Light, point: wp.vec3, normal: wp.vec3) -> float:
     return total
 
 
-@wp.func
-def shade(p: Primitive, point: wp.vec3, n: wp.vec3, side: wp.vec3, down: wp.vec3, light: Light) -> wp.vec3:
+@wp.func(inline=False)
+def shade(
+    primitives: wp.array[Primitive],
+    index: int,
+    point: wp.vec3,
+    n: wp.vec3,
+    side: wp.vec3,
+    down: wp.vec3,
+    light: Light,
+) -> wp.vec3:
     """Colour of a surface point in 0..1.
 
     Args:
         point: world position, metres.
         n: unit shape's normal.
-        side, down: half a pixel's width and height on the surface, world frame, metres.
+        side, down: half the sample's width and height on the surface, world frame, metres.
     """
+    p = primitives[index]
     q = wp.cw_mul(p.size, p.to_unit * (point - p.centre))
+    # Half the footprint each way, along the primitive's axes.
     half_u = wp.cw_mul(p.size, p.to_unit * side)
     half_v = wp.cw_mul(p.size, p.to_unit * down)
     footprint = wp.vec3(
