@@ -59,13 +59,29 @@ class WithoutMasks:
     def __init__(self, dataset: Dataset) -> None:
         self.name, self.kind, self.camera = dataset.name, dataset.kind, dataset.camera
         self.has_depth = dataset.has_depth
-        self._dataset = dataset
+        self.inner = dataset
 
     def __len__(self) -> int:
-        return len(self._dataset)
+        return len(self.inner)
 
     def __getitem__(self, index: int) -> Frame:
-        return replace(self._dataset[index], mask=None)
+        return replace(self.inner[index], mask=None)
+
+
+@runtime_checkable
+class Scalable(Protocol):
+    """A data set that renders its frames, and so gives them at any size without resampling."""
+
+    def scaled(self, scale: float) -> Dataset:
+        """Return the same data set with frames of ``scale`` times the size."""
+        ...
+
+
+def at_scale(dataset: Dataset, scale: float) -> Dataset:
+    """Return ``dataset`` at ``scale`` where it renders its frames, else as it is."""
+    if isinstance(dataset, WithoutMasks):
+        return WithoutMasks(at_scale(dataset.inner, scale))
+    return dataset.scaled(scale) if isinstance(dataset, Scalable) else dataset
 
 
 Masks = str | Path | None

@@ -17,7 +17,7 @@ WALNUT = Material((0.24, 0.14, 0.09), (0.50, 0.33, 0.21), patterns.WOOD, 0.10)
 BIRCH = Material((0.70, 0.58, 0.42), (0.92, 0.83, 0.68), patterns.WOOD, 0.15)
 STEEL = Material((0.50, 0.52, 0.55), (0.66, 0.68, 0.71), scale=0.10)
 DARK = Material((0.13, 0.13, 0.15), (0.24, 0.24, 0.27), scale=0.08)
-WHITE = Material((0.80, 0.80, 0.78), (0.93, 0.93, 0.91), scale=0.25)
+WHITE = Material((0.72, 0.72, 0.70), (0.84, 0.84, 0.82), scale=0.25)
 LEAF = Material((0.13, 0.30, 0.12), (0.36, 0.58, 0.24), scale=0.10)
 BRASS = Material((0.62, 0.48, 0.22), (0.80, 0.66, 0.36), scale=0.08)
 

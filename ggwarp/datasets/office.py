@@ -40,7 +40,7 @@ def build_office(*, featureless_wall: bool = False) -> tuple[list[Shape], dict[i
 def _room(s: SceneBuilder, featureless_wall: bool) -> None:
     x, y, z = 0.5 * LENGTH, 0.5 * WIDTH, 0.5 * HEIGHT
     paper = Material((0.80, 0.77, 0.66), (0.66, 0.70, 0.60), patterns.WALLPAPER, 0.24)
-    plaster = Material((0.70, 0.73, 0.76), (0.86, 0.87, 0.88), scale=0.5)
+    plaster = Material((0.70, 0.72, 0.74), (0.82, 0.83, 0.84), scale=0.5)
     brick = Material((0.52, 0.26, 0.19), (0.76, 0.46, 0.34), patterns.BRICKS, 0.085)
     bare = Material((0.82, 0.81, 0.78), (0.82, 0.81, 0.78))
     with s.object("floor"):
@@ -186,7 +186,7 @@ def _shelf_side(s: SceneBuilder) -> None:
         s.box(
             (0, -0.018, 0),
             (1.04, 0.01, 0.66),
-            Material((0.90, 0.91, 0.91), (0.84, 0.86, 0.87), patterns.SCREEN, 0.06),
+            Material((0.80, 0.81, 0.81), (0.74, 0.77, 0.79), patterns.SCREEN, 0.06),
         )
         s.box((0, -0.05, -0.36), (0.50, 0.07, 0.015), f.STEEL)
     with s.object("door", (1.45, -1.985, 0), 180):

@@ -12,7 +12,7 @@ from types import TracebackType
 import cv2
 import numpy as np
 
-from ggwarp.datasets.base import Dataset, DatasetError, FrameError
+from ggwarp.datasets.base import Dataset, DatasetError, FrameError, at_scale
 from ggwarp.datasets.resize import reduce_depth, resize_nearest
 from ggwarp.types import Camera, Frame
 
@@ -48,7 +48,7 @@ class FrameReader:
         Args:
             indices: frames to read, in this order.
             scale: image scale in (0, 1]: colour, depth and mask are resampled, and
-                ``Frame.sensor_depth`` keeps the native depth where the scale is not 1.
+                ``Frame.sensor_depth`` keeps the native depth where that is larger.
             ahead: frames held ready.
 
         Raises:
@@ -56,11 +56,11 @@ class FrameReader:
         """
         if not 0.0 < scale <= 1.0:
             raise DatasetError(f"scale {scale:g}: the image scale lies above 0 and is at most 1")
-        self.sensor_camera = dataset.camera
-        """The camera of ``sensor_depth``: native size."""
         self.camera = dataset.camera.scaled(scale)
         """The camera of the frames handed out."""
-        self._dataset = dataset
+        self._dataset = at_scale(dataset, scale)
+        self.sensor_camera = self._dataset.camera
+        """The camera of ``sensor_depth``: native size, or the same where frames are rendered."""
         self._indices = list(indices)
         self._ahead = ahead
         self._stop = threading.Event()

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import copy
+import threading
 from functools import lru_cache
 from typing import Any
 
@@ -18,7 +20,8 @@ from ggwarp.types import Camera, Float64, Frame
 
 REPLICA_CAMERA = Camera(1200, 680, 600.0, 600.0, 599.5, 339.5)
 FRAME_RATE = 30.0
-_LIGHT_CELL = 0.1
+_LIGHT_CELL = 0.125
+_lock = threading.Lock()
 _BARE_VIEW = (1.35, 1.20, 1.40)
 
 
@@ -46,7 +49,7 @@ class SyntheticOffice:
         featureless_wall: bool = False,
         device: Any = "cpu",
     ) -> None:
-        """Build the scene and bake its light (a fraction of a second).
+        """Lay the scene out; its light is baked with the first frame (half a second).
 
         Args:
             frames: frames along the loop; the last one's pose is the first one's.
@@ -74,12 +77,29 @@ class SyntheticOffice:
         self.mask_faults = mask_faults
         self.trajectory = loop_trajectory(frames, featureless_wall=featureless_wall)
         self.ids = np.array(sorted(set(self.class_names) - set(without)), np.int32)
-        self._device = wp.get_device(device)
-        self._light = _baked_light(featureless_wall, str(self._device))
-        self._primitives, self._balls = device_primitives(shapes, device=self._device, without=without)
+        self._shapes = shapes
+        self._uploaded: tuple[wp.array, wp.array, shading.Light] | None = None
+        self._options = {
+            "frames": frames,
+            "faults": faults,
+            "mask_faults": mask_faults,
+            "without": without,
+            "featureless_wall": featureless_wall,
+            "device": device,
+        }
+
+    def rescaled(self, scale: float) -> SyntheticOffice:
+        """Return the same office rendered at ``scale`` of Replica's camera: cheaper than shrinking frames."""
+        return SyntheticOffice(scale=scale, **self._options)
 
     def __len__(self) -> int:
         return len(self.trajectory)
+
+    def scaled(self, scale: float) -> SyntheticOffice:
+        """Return the same office seen by a camera of ``scale`` times the size."""
+        other = copy.copy(self)
+        other.camera = self.camera.scaled(scale)
+        return other
 
     def __getitem__(self, index: int) -> Frame:
         """Return frame ``index``, rendered now."""
@@ -102,17 +122,18 @@ class SyntheticOffice:
         Returns:
             rgb [h, w, 3] uint8, depth [h, w] float32 metres, ids [h, w] int32; 0 where nothing is.
         """
+        primitives, balls, light = self._scene()
+        device = wp.get_device(self._options["device"])
         w, h = self.camera.width, self.camera.height
         tiles = -(-w // raycast.TILE) * -(-h // raycast.TILE)
-        count = self._primitives.shape[0]
-        device = self._device
+        count = primitives.shape[0]
         depth = wp.empty((h, w), dtype=float, device=device)
         objects = wp.empty((h, w), dtype=int, device=device)
         colour = wp.empty((h, w, 3), dtype=wp.uint8, device=device)
         raycast.render(
-            self._primitives,
-            self._balls,
-            self._light,
+            primitives,
+            balls,
+            light,
             _ray_camera(self.camera),
             wp.mat44(*np.asarray(T_wc, np.float32).ravel().tolist()),
             lists=wp.empty((tiles, count), dtype=int, device=device),
@@ -125,6 +146,15 @@ class SyntheticOffice:
             device=device,
         )
         return colour.numpy().copy(), depth.numpy().copy(), objects.numpy().copy()
+
+    def _scene(self) -> tuple[wp.array, wp.array, shading.Light]:
+        """Primitives, balls around them and light on the device, made once."""
+        with _lock:
+            if self._uploaded is None:
+                device, without = self._options["device"], self._options["without"]
+                light = _baked_light(self._options["featureless_wall"], str(wp.get_device(device)))
+                self._uploaded = (*device_primitives(self._shapes, device=device, without=without), light)
+        return self._uploaded
 
 
 def loop_trajectory(frames: int, *, featureless_wall: bool = False) -> Float64:
@@ -184,7 +214,7 @@ def _baked_light(featureless_wall: bool, device: str) -> shading.Light:
     light.ambient = 0.62
     light.origin = wp.vec3(0.5 * (cell - LENGTH), 0.5 * (cell - WIDTH), 0.5 * cell)
     light.cell = cell
-    size = tuple(round(length / cell) for length in (LENGTH, WIDTH, HEIGHT))
+    size = tuple(int(np.ceil(length / cell)) for length in (LENGTH, WIDTH, HEIGHT))
     light.grid = wp.zeros(size, dtype=wp.vec4, device=device)
     raycast.bake_light(primitives, balls, light, device=device)
     return light
