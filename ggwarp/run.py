@@ -140,7 +140,8 @@ def execute(config: RunConfig, display: Display, interruption: Interruption, sta
     scale = image_scale(config.scale, dataset.camera, device)
     every = max(1, -(-len(indices) // 10)) if config.save_renders is None else config.save_renders
     config = dataclasses.replace(config, device=device, scale=scale, save_renders=every)
-    folder = report.create_run_folder(config.out, dataset.name)
+    name = config.seq if dataset.kind == "synthetic" else dataset.name
+    folder = report.create_run_folder(config.out, name)
     write_toml(dataclasses.replace(config, out=None), folder / "config.toml")
     _introduce(config, dataset, len(indices), display)
 
@@ -148,7 +149,7 @@ def execute(config: RunConfig, display: Display, interruption: Interruption, sta
     scheduler: Scheduler | None = None if config.fps is None else LiveScheduler(config.fps)
     slam = Slam(config.slam(), reader.camera, reader.sensor_camera, device=device, scheduler=scheduler)
     load_kernels(device, display)
-    record = report.RunRecord(dataset.name, dataset.kind, device)
+    record = report.RunRecord(name, dataset.kind, device)
     with reader:
         kept = track_and_map(slam, reader, record, display, interruption)
     if not record.reports:
