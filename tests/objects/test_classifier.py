@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import warp as wp
+
+from ggwarp.kernels.loss import LOSS_COUNT, OBJECT, OBJECT_3D
+from ggwarp.map.gaussians import GaussianBatch, GaussianMap
+from ggwarp.map.renderer import Renderer
+from ggwarp.objects.classifier import Classifier, ClassifierConfig
+from ggwarp.objects.neighbourhood import Neighbourhood
+from ggwarp.types import Camera
+
+CAMERA = Camera(48, 32, 40.0, 40.0, 23.5, 15.5)
+
+
+def wall(identities: np.ndarray, rng: np.random.Generator) -> GaussianBatch:
+    """Opaque Gaussians on the plane z = 1; left half: identities[0], right half: identities[1]."""
+    x, y = np.meshgrid(np.linspace(-0.7, 0.7, 40), np.linspace(-0.5, 0.5, 30))
+    n = x.size
+    means = np.stack([x.ravel(), y.ravel(), np.ones(n)], axis=1).astype(np.float32)
+    side = (means[:, 0] > 0).astype(int)
+    return GaussianBatch(
+        means,
+        np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1)),
+        np.full((n, 3), np.log(0.02), np.float32),
+        np.full(n, 3.0, np.float32),
+        rng.normal(size=(n, 3)).astype(np.float32),
+        identities[side].astype(np.float32),
+    )
+
+
+def made(device: str, config: ClassifierConfig) -> tuple[GaussianMap, Renderer, Classifier]:
+    gaussians = GaussianMap(device=device, has_identity=True)
+    return gaussians, Renderer(gaussians, CAMERA), Classifier(config, gaussians, seed=3)
+
+
+def test_gaussians_with_their_class_s_code_are_classified_at_once(
+    device: str, rng: np.random.Generator
+) -> None:
+    gaussians, renderer, classifier = made(device, ClassifierConfig())
+    classifier.grow(40)
+    gaussians.append(wall(classifier.codes[[7, 31]], rng))
+
+    labels, probabilities = classifier.classify_map()
+    renderer.forward(renderer.pose_array(np.eye(4)))
+    picture = classifier.classify_image(renderer.image, CAMERA.height, CAMERA.width)
+
+    side = gaussians.to_host()["means"][:, 0] > 0
+    assert (labels == np.where(side, 31, 7)).all() and (probabilities > 0.9).all()
+    assert (picture[:, 2:22] == 7).all() and (picture[:, 26:-2] == 31).all()
+
+
+def test_training_teaches_random_identities(device: str, rng: np.random.Generator) -> None:
+    config = ClassifierConfig(row_stride=2, rate=0.05)
+    gaussians, renderer, classifier = made(device, config)
+    classifier.grow(3)
+    gaussians.append(wall(rng.normal(size=(2, 16)), rng))
+    labels = np.ones((CAMERA.height, CAMERA.width), np.int32)
+    labels[:, CAMERA.width // 2 :] = 2
+    on_device = wp.array(labels, dtype=int, device=device)
+    losses = wp.zeros(LOSS_COUNT, dtype=float, device=device)
+    pose = renderer.pose_array(np.eye(4))
+    history = []
+    for i in range(60):
+        renderer.forward(pose)
+        classifier.evaluate(renderer, on_device, losses)
+        renderer.adjoint(pose)
+        classifier.evaluate_3d(renderer, losses, i)
+        classifier.step()
+        history.append(losses.numpy()[OBJECT])
+    assert history[-1] < 0.1 * history[0]
+    picture = classifier.classify_image(renderer.image, CAMERA.height, CAMERA.width)
+    assert (picture[:, 2:22] == 1).all() and (picture[:, 26:-2] == 2).all()
+    assert np.isfinite(losses.numpy()[OBJECT_3D])
+
+
+def test_classes_grow_past_their_room_and_keep_what_they_learnt(device: str) -> None:
+    _, _, classifier = made(device, ClassifierConfig(classes=4))
+    classifier.grow(3)
+    before = classifier.codes.copy()
+    weights = classifier._weights.numpy()[:3].copy()
+    classifier.grow(300)
+    assert classifier.count == 300
+    assert (classifier.codes[:3] == before).all()
+    assert (classifier._weights.numpy()[:3] == weights).all()
+    assert (classifier._weights.numpy()[3:300] == classifier.codes[3:]).all()
+
+
+def test_a_view_without_labels_teaches_nothing(device: str, rng: np.random.Generator) -> None:
+    gaussians, renderer, classifier = made(device, ClassifierConfig())
+    classifier.grow(3)
+    gaussians.append(wall(classifier.codes[[1, 2]], rng))
+    renderer.d_image.fill_(1.0)
+    weights = classifier._weights.numpy().copy()
+    classifier.evaluate(renderer, None, wp.zeros(LOSS_COUNT, dtype=float, device=device))
+    classifier.step()
+    assert not renderer.d_image.numpy()[4:].any()
+    assert (classifier._weights.numpy() == weights).all()
+
+
+def test_neighbours_are_the_nearest(device: str, rng: np.random.Generator) -> None:
+    gaussians = GaussianMap(device=device, has_identity=True)
+    neighbourhood = Neighbourhood(gaussians, samples=50, k=4)
+    for _ in range(2):  # the grid follows the map
+        gaussians.append(wall(rng.normal(size=(2, 16)), rng))
+        gaussians.fields["means"].assign(rng.normal(size=(gaussians.capacity, 3)).astype(np.float32))
+        neighbourhood.draw(rng)
+        means = gaussians.to_host()["means"].astype(np.float64)
+        samples, found = neighbourhood.samples.numpy(), neighbourhood.neighbours.numpy()
+        distances = np.linalg.norm(means[samples][:, None] - means[None], axis=2)
+        nearest = np.sort(distances, axis=1)[:, :4]
+        np.testing.assert_allclose(np.take_along_axis(distances, found, axis=1), nearest, atol=1e-6)
+        assert (found[:, 0] == samples).all()

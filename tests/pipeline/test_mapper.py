@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+import dataclasses
+
+import numpy as np
+import pytest
+
+from ggwarp.datasets.synthetic import SyntheticOffice
+from ggwarp.pipeline.mapper import Mapper, MapperConfig
+from ggwarp.types import Frame
+
+OFFICE = SyntheticOffice(scale=0.1)
+
+
+@pytest.fixture(scope="module")
+def frame() -> Frame:
+    return OFFICE[0]
+
+
+def made(device: str, config: MapperConfig = MapperConfig(), *, use_identity: bool = True) -> Mapper:  # noqa: B008
+    return Mapper(config, OFFICE.camera, device=device, use_identity=use_identity)
+
+
+def psnr(mapper: Mapper, frame: Frame) -> float:
+    assert frame.T_wc is not None
+    view = mapper.render(frame.T_wc)
+    return float(-10.0 * np.log10(np.mean((view.rgb - frame.rgb / 255.0) ** 2)))
+
+
+def test_iterations_fit_the_map_to_its_keyframe(device: str, frame: Frame) -> None:
+    mapper = made(device)
+    assert not mapper.ready
+    assert frame.T_wc is not None
+    mapper.insert(frame, frame.T_wc)
+    before = psnr(mapper, frame)
+
+    losses = [mapper.iterate() for _ in range(60)]
+
+    assert mapper.keyframe_indices == [0]
+    assert np.mean(losses[-10:]) < 0.6 * losses[0]
+    assert psnr(mapper, frame) > before + 4.0
+
+
+def test_rendered_objects_are_the_masks_own_ids(device: str, frame: Frame) -> None:
+    mapper = made(device)
+    assert frame.T_wc is not None and frame.mask is not None
+    renamed = dataclasses.replace(frame, mask=frame.mask * 1000 + 7)
+    mapper.insert(renamed, frame.T_wc)
+    for _ in range(40):
+        mapper.iterate()
+    view = mapper.render(frame.T_wc)
+    assert view.objects is not None and renamed.mask is not None
+    assert (view.objects == renamed.mask).mean() > 0.85
+    assert set(np.unique(mapper.export().object_ids)) <= {0, *np.unique(renamed.mask)}
+
+
+def test_a_keyframe_seen_twice_adds_little(device: str, frame: Frame) -> None:
+    mapper = made(device)
+    assert frame.T_wc is not None
+    mapper.insert(frame, frame.T_wc)
+    first = mapper.map.count
+    for _ in range(60):
+        mapper.iterate()
+    mapper.insert(frame, frame.T_wc)
+    assert mapper.map.count < 1.3 * first
+
+
+def test_transparent_and_huge_gaussians_are_pruned(device: str, frame: Frame) -> None:
+    mapper = made(device, MapperConfig(prune_interval=1), use_identity=False)
+    assert frame.T_wc is not None
+    mapper.insert(frame, frame.T_wc)
+    count = mapper.map.count
+    logits = mapper.map.fields["opacity_logits"].numpy().copy()
+    logits[:10] = -20.0
+    mapper.map.fields["opacity_logits"].assign(logits)
+    scales = mapper.map.fields["log_scales"].numpy().copy()
+    scales[20:25] = np.log(2.0)
+    mapper.map.fields["log_scales"].assign(scales)
+    mapper.iterate()
+    assert mapper.map.count == count - 15
+
+
+@pytest.mark.parametrize("use_identity", [True, False])
+def test_a_frame_without_any_depth_adds_nothing(use_identity: bool, device: str, frame: Frame) -> None:
+    mapper = made(device, use_identity=use_identity)
+    assert frame.depth is not None and frame.T_wc is not None
+    mapper.insert(dataclasses.replace(frame, depth=np.zeros_like(frame.depth)), frame.T_wc)
+    assert not mapper.ready
+    assert mapper.render(frame.T_wc).opacity.max() == 0.0
+
+
+def test_a_frame_without_mask_still_teaches_colour(device: str, frame: Frame) -> None:
+    mapper = made(device)
+    assert frame.T_wc is not None
+    mapper.insert(dataclasses.replace(frame, mask=None), frame.T_wc)
+    before = psnr(mapper, frame)
+    for _ in range(20):
+        mapper.iterate()
+    assert psnr(mapper, frame) > before
