@@ -6,7 +6,7 @@ World frame: z up, metres. An object is a set of primitives that share one id.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -19,7 +19,11 @@ from ggwarp.kernels import primitives as prims
 from ggwarp.kernels import procedural
 from ggwarp.lie import so3_exp
 
-Colour = tuple[float, float, float]
+Colour = Sequence[float]
+"""Red, green, blue, 0..1 as displayed."""
+
+
+_PRIMITIVE: Any = prims.Primitive
 
 
 @dataclass(frozen=True)
@@ -174,7 +178,7 @@ def device_primitives(
 
     A texture's seed is its shape's place in ``shapes``, so leaving objects out changes no other.
     """
-    rows = np.zeros(len(shapes), prims.Primitive.numpy_dtype())
+    rows = np.zeros(len(shapes), np.dtype(_PRIMITIVE.numpy_dtype()))
     balls = np.zeros((len(shapes), 4), np.float32)
     for seed, (row, shape) in enumerate(zip(rows, shapes, strict=True)):
         material = shape.material
@@ -187,6 +191,6 @@ def device_primitives(
         balls[seed] = [*shape.centre, 1.0001 * shape.radius]
     kept = ~np.isin(rows["object_id"], without)
     return (
-        wp.array(rows[kept], dtype=prims.Primitive, device=device),
+        wp.array(rows[kept], dtype=_PRIMITIVE, device=device),
         wp.array(balls[kept], dtype=wp.vec4, device=device),
     )

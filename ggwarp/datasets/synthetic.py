@@ -21,12 +21,13 @@ from ggwarp.types import Camera, Float64, Frame
 REPLICA_CAMERA = Camera(1200, 680, 600.0, 600.0, 599.5, 339.5)
 FRAME_RATE = 30.0
 _LIGHT_CELL = 0.125
+_BYTE: Any = wp.uint8
 _lock = threading.Lock()
 _BARE_VIEW = (1.35, 1.20, 1.40)
 
 
 class SyntheticOffice:
-    """A room of 5.0 x 4.0 x 2.7 m with some 45 objects, seen along one loop that ends where it began.
+    """A room of 5.0 x 4.0 x 2.7 m with 48 objects, seen along one loop that ends where it began.
 
     Frames carry exact z-depth at pixel centres, the ids of :attr:`class_names` at every pixel
     (structure included) and the true pose. A frame depends on its index and the options alone.
@@ -78,19 +79,10 @@ class SyntheticOffice:
         self.trajectory = loop_trajectory(frames, featureless_wall=featureless_wall)
         self.ids = np.array(sorted(set(self.class_names) - set(without)), np.int32)
         self._shapes = shapes
-        self._uploaded: tuple[wp.array, wp.array, shading.Light] | None = None
-        self._options = {
-            "frames": frames,
-            "faults": faults,
-            "mask_faults": mask_faults,
-            "without": without,
-            "featureless_wall": featureless_wall,
-            "device": device,
-        }
-
-    def rescaled(self, scale: float) -> SyntheticOffice:
-        """Return the same office rendered at ``scale`` of Replica's camera: cheaper than shrinking frames."""
-        return SyntheticOffice(scale=scale, **self._options)
+        self._uploaded: tuple[wp.array, wp.array, Any] | None = None
+        self._without = without
+        self._featureless_wall = featureless_wall
+        self._device = device
 
     def __len__(self) -> int:
         return len(self.trajectory)
@@ -123,13 +115,13 @@ class SyntheticOffice:
             rgb [h, w, 3] uint8, depth [h, w] float32 metres, ids [h, w] int32; 0 where nothing is.
         """
         primitives, balls, light = self._scene()
-        device = wp.get_device(self._options["device"])
+        device = wp.get_device(self._device)
         w, h = self.camera.width, self.camera.height
         tiles = -(-w // raycast.TILE) * -(-h // raycast.TILE)
         count = primitives.shape[0]
         depth = wp.empty((h, w), dtype=float, device=device)
         objects = wp.empty((h, w), dtype=int, device=device)
-        colour = wp.empty((h, w, 3), dtype=wp.uint8, device=device)
+        colour = wp.empty((h, w, 3), dtype=_BYTE, device=device)
         raycast.render(
             primitives,
             balls,
@@ -147,13 +139,14 @@ class SyntheticOffice:
         )
         return colour.numpy().copy(), depth.numpy().copy(), objects.numpy().copy()
 
-    def _scene(self) -> tuple[wp.array, wp.array, shading.Light]:
+    def _scene(self) -> tuple[wp.array, wp.array, Any]:
         """Primitives, balls around them and light on the device, made once."""
         with _lock:
             if self._uploaded is None:
-                device, without = self._options["device"], self._options["without"]
-                light = _baked_light(self._options["featureless_wall"], str(wp.get_device(device)))
-                self._uploaded = (*device_primitives(self._shapes, device=device, without=without), light)
+                device = wp.get_device(self._device)
+                light = _baked_light(self._featureless_wall, str(device))
+                scene = device_primitives(self._shapes, device=device, without=self._without)
+                self._uploaded = (*scene, light)
         return self._uploaded
 
 
@@ -193,7 +186,7 @@ def _pose(time: float, featureless_wall: bool) -> Float64:
     return T_wc
 
 
-def _ray_camera(camera: Camera) -> raycast.RayCamera:
+def _ray_camera(camera: Camera) -> Any:
     out = raycast.RayCamera()
     out.fx, out.fy, out.cx, out.cy = camera.fx, camera.fy, camera.cx, camera.cy
     out.width, out.height = camera.width, camera.height
@@ -201,7 +194,7 @@ def _ray_camera(camera: Camera) -> raycast.RayCamera:
 
 
 @lru_cache(maxsize=4)
-def _baked_light(featureless_wall: bool, device: str) -> shading.Light:
+def _baked_light(featureless_wall: bool, device: str) -> Any:
     """The lights of the full room: two ceiling panels and the window."""
     shapes: list[Shape] = build_office(featureless_wall=featureless_wall)[0]
     primitives, balls = device_primitives(shapes, device=device)

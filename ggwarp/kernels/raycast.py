@@ -10,60 +10,27 @@ from typing import Any
 import warp as wp
 
 from ggwarp.kernels import launch
-from ggwarp.kernels.math import rotation_of, translation_of
-from ggwarp.kernels.primitives import Primitive, face_of, intersect, world_normal
+from ggwarp.kernels.math import translation_of
+from ggwarp.kernels.primitives import Primitive, face_of, world_normal
+from ggwarp.kernels.rays import (
+    TILE,
+    Hit,
+    RayCamera,
+    blocked,
+    cast_at,
+    cast_ray,
+    on_tangent,
+    pixel_ray,
+    tile_of,
+)
 from ggwarp.kernels.shading import Light, shade
 
 wp.set_module_options({"enable_backward": False})
 
-TILE = 8
-"""Pixels along the side of a tile that shares one list of candidate primitives."""
-
 _K_TILE = wp.constant(TILE)
-_FAR = wp.constant(1.0e10)
-_NEAREST = wp.constant(1.0e-3)
-_LIGHT_RAYS = wp.constant(8)
-_OPEN_RAYS = wp.constant(14)
+_LIGHT_RAYS = wp.constant(6)
+_OPEN_RAYS = wp.constant(12)
 _OPEN_REACH = wp.constant(0.5)
-
-
-@wp.struct
-class RayCamera:
-    """A pinhole camera of ``width`` x ``height`` pixels."""
-
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    width: int
-    height: int
-
-
-@wp.struct
-class Hit:
-    """A ray's first crossing: its parameter, the primitive (-1: none), the unit shape's normal."""
-
-    t: float
-    index: int
-    normal: wp.vec3
-
-
-@wp.func(inline=False)
-def _blocked(
-    primitives: wp.array[Primitive], bounds: wp.array[wp.vec4], origin: wp.vec3, step: wp.vec3, reach: float
-) -> bool:
-    """Whether a primitive lies on the segment from ``origin`` along ``step``, up to ``reach`` of it."""
-    length2 = wp.dot(step, step)
-    for i in range(bounds.shape[0]):
-        ball = bounds[i]
-        to = wp.vec3(ball[0], ball[1], ball[2]) - origin
-        along = wp.clamp(wp.dot(to, step) / length2, 0.0, reach)
-        off = to - along * step
-        if wp.dot(off, off) <= ball[3] * ball[3]:
-            hit = intersect(primitives, i, origin, step, 0.0)
-            if hit[0] < reach:
-                return True
-    return False
 
 
 @wp.kernel
@@ -87,7 +54,7 @@ def _bake_light_kernel(offset: int, primitives: wp.array[Primitive], bounds: wp.
             b = (float(r) * 0.6180340 + 0.31) * 2.0
             b = b - 2.0 * wp.floor(0.5 * b) - 1.0
             step = centre + a * half_u + b * half_v - point
-            if not _blocked(primitives, bounds, point, step, 0.97):
+            if not blocked(primitives, bounds, point, step, 0.97):
                 open += 1.0
         seen[s] = open / float(_LIGHT_RAYS)
     open = float(0.0)
@@ -96,21 +63,10 @@ def _bake_light_kernel(offset: int, primitives: wp.array[Primitive], bounds: wp.
         angle = 2.3999632 * float(r)
         ring = wp.sqrt(1.0 - z * z)
         step = wp.vec3(ring * wp.cos(angle), ring * wp.sin(angle), z) * _OPEN_REACH
-        if not _blocked(primitives, bounds, point, step, 1.0):
+        if not blocked(primitives, bounds, point, step, 1.0):
             open += 1.0
     seen[3] = open / float(_OPEN_RAYS)
     light.grid[i, j, k] = seen
-
-
-@wp.func
-def _pixel_ray(camera: RayCamera, T_wc: wp.mat44, u: float, v: float) -> wp.vec3:
-    """World direction of a pixel's ray, its length such that the ray parameter is the z-depth."""
-    return rotation_of(T_wc) * wp.vec3((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, 1.0)
-
-
-@wp.func
-def _tile_of(camera: RayCamera, column: int, row: int) -> int:
-    return (row // _K_TILE) * ((camera.width + _K_TILE - 1) // _K_TILE) + column // _K_TILE
 
 
 @wp.func
@@ -145,12 +101,12 @@ def _cull_kernel(
     half = 0.5 * float(_K_TILE)
     u = float((tile % tiles_x) * _K_TILE) - 0.5 + half
     v = float((tile // tiles_x) * _K_TILE) - 0.5 + half
-    axis = wp.normalize(_pixel_ray(camera, T_wc, u, v))
+    axis = wp.normalize(pixel_ray(camera, T_wc, u, v))
     cosine = float(1.0)
     for k in range(4):
         du = wp.where(k % 2 == 0, -half, half)
         dv = wp.where(k < 2, -half, half)
-        cosine = wp.min(cosine, wp.dot(axis, wp.normalize(_pixel_ray(camera, T_wc, u + du, v + dv))))
+        cosine = wp.min(cosine, wp.dot(axis, wp.normalize(pixel_ray(camera, T_wc, u + du, v + dv))))
     sine = wp.sqrt(wp.max(0.0, 1.0 - cosine * cosine))
     origin = translation_of(T_wc)
     forward = wp.vec3(T_wc[0, 2], T_wc[1, 2], T_wc[2, 2])
@@ -167,46 +123,9 @@ def _cull_kernel(
     counts[tile] = count
 
 
-@wp.func(inline=False)
-def _cast(
-    primitives: wp.array[Primitive],
-    lists: wp.array2d[int],
-    starts: wp.array2d[float],
-    count: int,
-    tile: int,
-    origin: wp.vec3,
-    direction: wp.vec3,
-) -> Hit:
-    best = Hit()
-    best.t = _FAR
-    best.index = -1
-    for c in range(count):
-        if starts[tile, c] > best.t:
-            break
-        i = lists[tile, c]
-        hit = intersect(primitives, i, origin, direction, _NEAREST)
-        if hit[0] < best.t:
-            best.t = hit[0]
-            best.index = i
-            best.normal = wp.vec3(hit[1], hit[2], hit[3])
-    return best
-
-
 @wp.func
 def _byte(x: float) -> wp.uint8:
     return wp.uint8(wp.int32(wp.clamp(x, 0.0, 1.0) * 255.0 + 0.5))
-
-
-@wp.func
-def _cast_one(primitives: wp.array[Primitive], index: int, origin: wp.vec3, direction: wp.vec3) -> Hit:
-    """The crossing of a primitive that is known to be the first; ``index`` < 0: none."""
-    hit = Hit()
-    hit.index = index
-    if index >= 0:
-        crossing = intersect(primitives, index, origin, direction, _NEAREST)
-        hit.t = crossing[0]
-        hit.normal = wp.vec3(crossing[1], crossing[2], crossing[3])
-    return hit
 
 
 @wp.kernel
@@ -226,9 +145,9 @@ def _trace_kernel(
     pixel = offset + wp.tid()
     row = pixel // camera.width
     column = pixel % camera.width
-    tile = _tile_of(camera, column, row)
-    direction = _pixel_ray(camera, T_wc, float(column), float(row))
-    hit = _cast(primitives, lists, starts, counts[tile], tile, translation_of(T_wc), direction)
+    tile = tile_of(camera, column, row)
+    direction = pixel_ray(camera, T_wc, float(column), float(row))
+    hit = cast_ray(primitives, lists, starts, counts[tile], tile, translation_of(T_wc), direction)
     if hit.index >= 0:
         depth[row, column] = hit.t
         objects[row, column] = primitives[hit.index].object_id
@@ -237,17 +156,6 @@ def _trace_kernel(
         depth[row, column] = 0.0
         objects[row, column] = 0
         faces[row, column] = -1
-
-
-@wp.func
-def _on_tangent(normal: wp.vec3, direction: wp.vec3, shifted: wp.vec3) -> wp.vec3:
-    """How far a point at depth 1 moves on its tangent plane when its ray becomes ``shifted``."""
-    facing = wp.dot(normal, shifted)
-    # Seen edge-on the pixel's footprint has no end: held to 20 times its width.
-    least = 0.05 * wp.length(shifted)
-    if wp.abs(facing) < least:
-        facing = wp.where(facing < 0.0, -least, least)
-    return shifted * (wp.dot(normal, direction) / facing) - direction
 
 
 @wp.kernel
@@ -266,7 +174,7 @@ def _shade_kernel(
     pixel = offset + wp.tid()
     row = pixel // camera.width
     column = pixel % camera.width
-    tile = _tile_of(camera, column, row)
+    tile = tile_of(camera, column, row)
     origin = translation_of(T_wc)
     face = faces[row, column]
     samples = int(1)
@@ -282,18 +190,18 @@ def _shade_kernel(
     for s in range(samples):
         u = float(column) + spacing * (2.0 * float(s % 2) - 1.0)
         v = float(row) + spacing * (2.0 * float(s // 2) - 1.0)
-        direction = _pixel_ray(camera, T_wc, u, v)
+        direction = pixel_ray(camera, T_wc, u, v)
         hit = Hit()
         if samples > 1:
-            hit = _cast(primitives, lists, starts, counts[tile], tile, origin, direction)
+            hit = cast_ray(primitives, lists, starts, counts[tile], tile, origin, direction)
         else:
-            hit = _cast_one(primitives, wp.where(face < 0, -1, face // 8), origin, direction)
+            hit = cast_at(primitives, wp.where(face < 0, -1, face // 8), origin, direction)
         if hit.index >= 0:
             normal = world_normal(primitives[hit.index], hit.normal)
-            right = _pixel_ray(camera, T_wc, u + reach, v)
-            below = _pixel_ray(camera, T_wc, u, v + reach)
-            side = hit.t * _on_tangent(normal, direction, right)
-            down = hit.t * _on_tangent(normal, direction, below)
+            right = pixel_ray(camera, T_wc, u + reach, v)
+            below = pixel_ray(camera, T_wc, u, v + reach)
+            side = hit.t * on_tangent(normal, direction, right)
+            down = hit.t * on_tangent(normal, direction, below)
             rgb += shade(primitives, hit.index, origin + hit.t * direction, hit.normal, side, down, light)
     for c in range(3):
         colour[row, column, c] = _byte(rgb[c] / float(samples))
