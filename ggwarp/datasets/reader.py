@@ -58,9 +58,10 @@ class FrameReader:
             raise DatasetError(f"scale {scale:g}: the image scale lies above 0 and is at most 1")
         self.camera = dataset.camera.scaled(scale)
         """The camera of the frames handed out."""
-        self._dataset = at_scale(dataset, scale)
+        # Twice the size, then resampled: smooth edges at a fraction of the native size's cost.
+        self._dataset = at_scale(dataset, min(1.0, 2.0 * scale))
         self.sensor_camera = self._dataset.camera
-        """The camera of ``sensor_depth``: native size, or the same where frames are rendered."""
+        """The camera of ``sensor_depth``: native size, or twice the frames' where they are rendered."""
         self._indices = list(indices)
         self._ahead = ahead
         self._stop = threading.Event()
