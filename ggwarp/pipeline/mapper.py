@@ -32,12 +32,15 @@ class MapperConfig:
     """l_rgb of the loss (GG-SLAM eq. 5)."""
     dssim: float = 0.2
     """Share of 1 - SSIM in the colour loss (eq. 6)."""
-    depth_weight: float = 0.1
-    """l_d of the loss."""
+    depth_weight: float = 0.5
+    """l_d of the loss (0.1 in the paper; more keeps surfaces sharp and costs no colour)."""
     depth_max: float = 10.0
     """Depth unit of eq. 7, metres."""
-    rates: AdamRates = field(default_factory=AdamRates)
-    """Adam's learning rates."""
+    rates: AdamRates = AdamRates(
+        means=5e-4, quats=5e-3, log_scales=1e-2, opacity=0.1, colours=5e-3, identities=2.5e-3
+    )
+    """Adam's learning rates: larger than GS-ICP-SLAM's, as each Gaussian gets tens of steps here, not
+    thousands."""
     prune_interval: int = 200
     """Prune every so many iterations."""
     prune_opacity: float = 0.005

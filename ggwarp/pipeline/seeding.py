@@ -23,23 +23,23 @@ from ggwarp.types import Camera, Float32, Float64, Frame, Rendered
 class SeedingConfig:
     """How densely Gaussians are laid, and what they start as."""
 
-    min_density: float = 0.1
+    min_density: float = 0.15
     """Gaussians a pixel on new, untextured surface."""
     max_density: float = 0.6
     """Gaussians a pixel on new, finely textured surface."""
-    detail_gain: float = 4.0
+    detail_gain: float = 6.0
     """Density added per unit of local colour contrast (0..1)."""
     residual_threshold: float = 0.06
     """On surface the map already shows, mean absolute colour error above which more are added."""
     residual_gain: float = 1.5
     """Density added per unit of colour error above the threshold."""
-    spacing: float = 0.6
+    spacing: float = 0.5
     """Standard deviation of a Gaussian in units of the distance to its neighbours."""
     flatness: float = 0.2
     """Standard deviation along the surface normal, relative to the tangential one."""
     max_stretch: float = 3.0
     """A Gaussian on a grazing surface is stretched by 1/cos, at most so much."""
-    opacity: float = 0.7
+    opacity: float = 0.5
     """Initial opacity."""
     depth_tolerance: float = 0.03
     """New surface: closer than the rendered depth by more than this share of it."""
