@@ -153,7 +153,8 @@ def intersect(
     o = to_unit * (origin - primitives[index].centre)
     d = to_unit * direction
     length2 = wp.dot(d, d)
-    if not (length2 > 0.0):
+    # Also false for NaN.
+    if not (length2 > 0.0 and wp.dot(o, o) >= 0.0):
         return wp.vec4(_FAR, 0.0, 0.0, 0.0)
     # From the point closest to the centre, small shapes far away keep their digits in float32.
     shift = -wp.dot(o, d) / length2

@@ -220,7 +220,8 @@ def screen(uv: wp.vec2, w: wp.vec2, scale: float, a: wp.vec3, b: wp.vec3, seed: 
 def rug(uv: wp.vec2, w: wp.vec2, scale: float, a: wp.vec3, b: wp.vec3, seed: int) -> wp.vec3:
     """Nested diamonds with a woven texture."""
     r = (wp.abs(uv[0]) + wp.abs(uv[1])) / scale
-    wr = (w[0] + w[1]) / scale
+    # A diagonal's profile across a square pixel is a triangle: narrower than its base.
+    wr = 0.7 * (w[0] + w[1]) / scale
     ring = pulse(r, 0.5, wr)
     tone = cell_value(r, 0.5, wr, 0.0, seed)
     base = wp.lerp(a, b, ring)
@@ -237,10 +238,11 @@ def window(uv: wp.vec2, w: wp.vec2, a: wp.vec3, b: wp.vec3, seed: int) -> wp.vec
         + 0.1 * noise(wp.vec3(uv[0] / 0.4, 0.0, 1.0), seed)
         + 0.02 * noise(wp.vec3(uv[0] / 0.07, 5.0, 1.0), seed)
     )
+    lost = wp.min(0.6, 2.0 * wp.max(w[0], w[1]))
     cloud = fbm(wp.vec3(uv[0] / 0.35, uv[1] / 0.16, 0.0), wp.max(w[0], w[1]) / 0.16, 4, seed)
-    sky = wp.lerp(a, wp.vec3(0.97, 0.97, 0.98), smooth(-0.15, 0.5, cloud))
+    sky = wp.lerp(a, wp.vec3(0.97, 0.97, 0.98), smooth(-0.15 - lost, 0.5 + lost, cloud))
     trees = fbm(wp.vec3(uv[0] / 0.09, uv[1] / 0.09, 4.0), wp.max(w[0], w[1]) / 0.09, 4, seed + 3)
-    soft = wp.max(0.01, w[1])
+    soft = wp.max(0.01, 0.6 * w[1] + 0.2 * w[0])
     return wp.lerp(b * (1.0 + 0.4 * trees), sky, smooth(-0.2 - soft, -0.2 + soft, height))
 
 
@@ -289,7 +291,7 @@ def texture(
     if pattern == _K_MARBLE:
         bent = q / scale + wp.vec3(grain, grain, -grain) * 0.9
         vein = 1.0 - wp.abs(fbm(bent, wide / scale, 4, seed + 5)) * 2.2
-        return wp.lerp(a, b, smooth(0.2, 1.0, vein))
+        return wp.lerp(a, b, wp.lerp(smooth(0.2, 1.0, vein), 0.5, smooth(0.1, 0.8, wide / scale)))
     if pattern == _K_BRICKS:
         brick = bricks(uv, w, scale, seed)
         face = wp.lerp(a, b, wp.clamp(brick[0] + 0.25 * grain, 0.0, 1.0))
@@ -298,5 +300,7 @@ def texture(
         band = pulse(uv[1] / 0.21 + 0.12, 0.16, w[1] / 0.21)
         title = pulse(uv[1] / 0.03, 0.5, w[1] / 0.03) * pulse(uv[1] / 0.21 + 0.55, 0.35, w[1] / 0.21)
         return wp.lerp(a, b, wp.clamp(0.9 * band + 0.5 * title, 0.0, 1.0)) * (1.0 + 0.12 * grain)
-    land = smooth(-0.08, 0.08, fbm(q / scale, wide / scale, 4, seed))
+    # The coast blurs by as much as the noise that decides it has lost to its own filter.
+    soft = 0.08 + 0.7 * wp.min(1.0, wide / scale)
+    land = smooth(-soft, soft, fbm(q / scale, wide / scale, 4, seed))
     return wp.lerp(a, b * (1.0 + 0.25 * grain), land)
