@@ -114,8 +114,11 @@ def dotted(mask: Ids, share: float, radius: int, ids: Ids, rng: np.random.Genera
     """Return the mask with about ``share`` of it under dots of random ``ids`` (0 among them)."""
     out = mask.copy()
     radii = np.arange(1, radius + 1)
-    # A disc of radius r on the pixel grid, as cv2.circle fills it, holds about pi r^2 + 2 r pixels.
-    count = rng.poisson(share * mask.size / float(np.mean(np.pi * radii**2 + 2 * radii)))
+    canvas = np.zeros((2 * radius + 3, 2 * radius + 3), np.uint8)
+    middle = (radius + 1, radius + 1)
+    areas = [np.count_nonzero(cv2.circle(canvas * 0, middle, int(r), 1, -1)) for r in radii]
+    # Dots overlap: n of them leave a share exp(-n area / size) free.
+    count = rng.poisson(-np.log1p(-share) * mask.size / np.mean(areas))
     choices = np.append(ids, 0)
     for _ in range(count):
         centre = (int(rng.integers(mask.shape[1])), int(rng.integers(mask.shape[0])))
