@@ -3,7 +3,8 @@
 
 Of each pixel, front to back: alpha_i = min(0.99, o_i exp(-(a dx^2 + c dy^2) / 2 - b dx dy)), skipped
 where under 1/255; w_i = alpha_i T_i, T_(i+1) = T_i - w_i, until T < 1e-4. Channels are sum w_i f_i on
-black. A clamped alpha passes no gradient to the splat's shape and opacity, as in 3-D Gaussian Splatting.
+black; the depth (channel 3) of a splat at the pixel is f_i + slope_i . (dx, dy). A clamped alpha passes no
+gradient to the splat's shape and opacity, as in 3-D Gaussian Splatting.
 """
 
 from __future__ import annotations
@@ -36,12 +37,13 @@ def composite(
     """Blend binned splats into planar images, each padded to whole tiles.
 
     Args:
-        splats: the projection; C is 3, 4 or 20.
+        splats: the projection; C is 4 or 20.
         tiles: its binning.
         width, height: image size, pixels.
         image: [C, Hp, Wp] out.
         transmittance: [Hp, Wp] out: what is left of a ray behind all splats.
-        median_depth: [Hp, Wp] out: depth of the first splat after which T < 0.5, metres; 0 where none.
+        median_depth: [Hp, Wp] out: depth at the pixel of the first splat after which T < 0.5, metres; 0
+            where none.
         cooperative: take the form for CUDA; the default does on CUDA alone. On the CPU that form needs
             ``wp.config.enable_cpu_blocks`` and is slow: it is for tests.
 
@@ -56,7 +58,7 @@ def composite(
         tiles.tile_ranges,
         splats.means2d,
         splats.conics,
-        splats.depths,
+        splats.slopes,
         splats.features,
     ]
     kernels = (composite_cpu.KERNELS[channels], composite_cuda.FORWARD[channels])
@@ -94,6 +96,7 @@ def composite_adjoint(
         tiles.tile_ranges,
         splats.means2d,
         splats.conics,
+        splats.slopes,
         splats.features,
         image,
         transmittance,
@@ -101,7 +104,7 @@ def composite_adjoint(
         d_transmittance,
     ]
     kernels = (composite_cpu_adjoint.KERNELS[channels], composite_cuda.ADJOINT[channels])
-    _launch(kernels, tiles, inputs, [out.d_means2d, out.d_conics, out.d_features], cooperative)
+    _launch(kernels, tiles, inputs, [out.d_means2d, out.d_conics, out.d_slopes, out.d_features], cooperative)
 
 
 def _launch(
@@ -132,7 +135,7 @@ def _check(splats: Splats, image: wp.array, width: int, height: int) -> int:
     """Return the number of channels."""
     channels = splats.features.shape[1]
     if channels not in composite_cuda.FORWARD:
-        raise ValueError(f"features: {channels} channels, but 3, 4 or 20 are composited")
+        raise ValueError(f"features: {channels} channels, but 4 or 20 are composited")
     needed = (channels, 16 * tiles_across(height), 16 * tiles_across(width))
     if image.shape != needed:
         raise ValueError(f"image: {image.shape}, but {needed} is needed")

@@ -9,6 +9,7 @@ import warp as wp
 
 from ggwarp.kernels.composite_patches import (
     ALPHA_MAX,
+    DEPTH,
     LOG_ALPHA_MIN,
     OPTIONS,
     TRANSMITTANCE_MIN,
@@ -46,7 +47,7 @@ def _make(channels: int):
         tile_ranges: wp.array[wp.vec2i],
         means2d: wp.array[wp.vec2],
         conics: wp.array[wp.vec4],
-        depths: wp.array[float],
+        slopes: wp.array[wp.vec2],
         features: wp.array2d[float],
         image: wp.array3d[float],
         transmittance: wp.array2d[float],
@@ -87,7 +88,7 @@ def _make(channels: int):
                 counts[patch] = 0
             for k in range(size):
                 gaussian = slot_gaussians[pair_slots[begin + k]]
-                splats[k] = gathered(means2d[gaussian], conics[gaussian], depths[gaussian])
+                splats[k] = gathered(means2d[gaussian], conics[gaussian], slopes[gaussian])
                 chunk_rows[k] = feature_rows[gaussian]
             for k in range(size):
                 s = quadratic(splats[k], tile_x, tile_y)
@@ -116,15 +117,18 @@ def _make(channels: int):
                         dy = pixel_y - vec16(s[1])
                         power = wp.cw_mul(dx, dx * s[2] + dy * s[3]) + wp.cw_mul(dy, dy * s[4]) + vec16(s[5])
                         alpha = wp.min(exp(power), vec16(ALPHA_MAX))
+                        rise = dx * s[6] + dy * s[7]
+                        depth = rise + vec16(f[DEPTH])
                         w = vec16()
                         for j in range(16):
                             counted = power[j] >= LOG_ALPHA_MIN and T[j] >= TRANSMITTANCE_MIN
                             w[j] = wp.where(counted, alpha[j] * T[j], 0.0)
                             after = T[j] - w[j]
-                            median[j] = wp.where(T[j] >= 0.5 and after < 0.5, s[7], median[j])
+                            median[j] = wp.where(T[j] >= 0.5 and after < 0.5, depth[j], median[j])
                             T[j] = after
                         for c in range(channels):
                             acc[c] += w * f[c]
+                        acc[DEPTH] += wp.cw_mul(w, rise)
                     acc[channels] = T
                     acc[channels + 1] = median
                     state[patch] = acc
@@ -141,5 +145,5 @@ def _make(channels: int):
     return forward
 
 
-KERNELS = {channels: _make(channels) for channels in (3, 4, 20)}
+KERNELS = {channels: _make(channels) for channels in (4, 20)}
 """By the number of channels."""

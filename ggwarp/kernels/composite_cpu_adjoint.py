@@ -13,6 +13,7 @@ import warp as wp
 
 from ggwarp.kernels.composite_patches import (
     ALPHA_MAX,
+    DEPTH,
     LOG_ALPHA_MIN,
     OPACITY_MIN,
     OPTIONS,
@@ -48,9 +49,9 @@ def _make(channels: int):
     exp = make_exp()
     groups, grouped = channels // 4, channels // 4 * 4
     # Folding leaves the totals of 16 vectors in bit-reversed order: quantity k goes to places[k].
-    results = 1 if channels + 6 <= 16 else 2
+    results = 1 if channels + 8 <= 16 else 2
     places = [r + results * int(f"{k:04b}"[::-1], 2) for r in range(results) for k in range(16)]
-    moments = [places[channels + k] for k in range(6)]
+    moments = [places[channels + k] for k in range(8)]
 
     # Each function is called once, so that LLVM inlines it.
     @wp.func
@@ -74,19 +75,25 @@ def _make(channels: int):
     def walk(
         s: vec8,
         rect: wp.vec4i,
+        g_rows: wp.array[vec16],
         products: wp.array[vec16],
         transmittances: wp.array[vec16],
         behind: wp.array[vec16],
         weights: wp.array[vec16],
         sums: wp.array[vec16],
     ):
-        """Pass the splat: write its weights, and the moments of d loss / d ln alpha, still by lane."""
+        """Pass the splat: write its weights, and the moments of what shapes it, still by lane.
+
+        They are those of d loss / d ln alpha, then the gradient of the depth's slope.
+        """
         m0 = vec16()
         mx = vec16()
         my = vec16()
         mxx = vec16()
         mxy = vec16()
         myy = vec16()
+        slope_x = vec16()
+        slope_y = vec16()
         for y in range(rect[1], rect[3]):
             for x in range(rect[0], rect[2]):
                 patch = y * 4 + x
@@ -95,7 +102,8 @@ def _make(channels: int):
                 power = wp.cw_mul(dx, dx * s[2] + dy * s[3]) + wp.cw_mul(dy, dy * s[4]) + vec16(s[5])
                 raw = exp(power)
                 T = transmittances[patch]
-                q = products[patch]
+                d_depth = g_rows[patch * channels + DEPTH]
+                q = products[patch] + wp.cw_mul(d_depth, dx * s[6] + dy * s[7])
                 rest = behind[patch]
                 w = vec16()
                 d = vec16()
@@ -118,12 +126,17 @@ def _make(channels: int):
                 mxx += wp.cw_mul(dx_d, dx)
                 mxy += wp.cw_mul(dx_d, dy)
                 myy += wp.cw_mul(dy_d, dy)
+                d_rise = wp.cw_mul(w, d_depth)
+                slope_x += wp.cw_mul(d_rise, dx)
+                slope_y += wp.cw_mul(d_rise, dy)
         sums[wp.static(moments[0])] = m0
         sums[wp.static(moments[1])] = mx
         sums[wp.static(moments[2])] = my
         sums[wp.static(moments[3])] = mxx
         sums[wp.static(moments[4])] = mxy
         sums[wp.static(moments[5])] = myy
+        sums[wp.static(moments[6])] = slope_x
+        sums[wp.static(moments[7])] = slope_y
 
     @wp.func
     def take_weighted(
@@ -162,6 +175,7 @@ def _make(channels: int):
         tile_ranges: wp.array[wp.vec2i],
         means2d: wp.array[wp.vec2],
         conics: wp.array[wp.vec4],
+        slopes: wp.array[wp.vec2],
         features: wp.array2d[float],
         image: wp.array3d[float],
         transmittance: wp.array2d[float],
@@ -169,6 +183,7 @@ def _make(channels: int):
         d_transmittance: wp.array2d[float],
         slot_d_means2d: wp.array[wp.vec2],
         slot_d_conics: wp.array[wp.vec4],
+        slot_d_slopes: wp.array[wp.vec2],
         slot_d_features: wp.array2d[float],
     ):
         tile = offset + wp.tid()
@@ -229,32 +244,36 @@ def _make(channels: int):
                 slot = pair_slots[begin + k]
                 gaussian = slot_gaussians[slot]
                 slots[k] = slot
-                splats[k] = gathered(means2d[gaussian], conics[gaussian], 0.0)
+                splats[k] = gathered(means2d[gaussian], conics[gaussian], slopes[gaussian])
                 rows[k] = feature_rows[gaussian]
             for k in range(size):
                 slot = slots[k]
                 s = quadratic(splats[k], tile_x, tile_y)
                 rect = patch_rect(s) * transparent
                 take_products(rows[k], rect, g, products)
-                walk(s, rect, products, transmittances, behind, weights, sums)
+                walk(s, rect, g_rows, products, transmittances, behind, weights, sums)
                 take_weighted(rect, g, weights, sums)
                 fold(sums, halves)
                 d_features[slot] = total_row[0]
                 x_moment = totals[channels + 1]
                 y_moment = totals[channels + 2]
+                # The depth's plane moves with the mean.
+                d_depth = totals[DEPTH]
                 slot_d_means2d[slot] = wp.vec2(
-                    -2.0 * s[2] * x_moment - s[3] * y_moment, -s[3] * x_moment - 2.0 * s[4] * y_moment
+                    -2.0 * s[2] * x_moment - s[3] * y_moment - s[6] * d_depth,
+                    -s[3] * x_moment - 2.0 * s[4] * y_moment - s[7] * d_depth,
                 )
                 slot_d_conics[slot] = wp.vec4(
                     -0.5 * totals[channels + 3],
                     -totals[channels + 4],
                     -0.5 * totals[channels + 5],
-                    totals[channels] / wp.max(s[6], OPACITY_MIN),
+                    totals[channels] / wp.max(splats[k][5], OPACITY_MIN),
                 )
+                slot_d_slopes[slot] = wp.vec2(totals[channels + 6], totals[channels + 7])
             begin += size
 
     return adjoint
 
 
-KERNELS = {channels: _make(channels) for channels in (3, 4, 20)}
+KERNELS = {channels: _make(channels) for channels in (4, 20)}
 """By the number of channels."""

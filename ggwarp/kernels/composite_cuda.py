@@ -5,17 +5,18 @@ Each warp holds a patch of 8 x 4 pixels, so that whole warps skip a splat togeth
 splats at a time is staged in shared memory; the opacity threshold is tested on ln alpha, before exp.
 
 The adjoint reduces over the block by products of small matrices: the weights of 16 splats [16, 256]
-times d_image [256, C] give their feature gradients, and d loss / d ln alpha [16, 256] times the
-monomials 1, x, y, x^2, xy, y^2 [256, 6] the moments that shape gradients are made of. One row per (splat,
-tile) slot and a fixed order: no atomics, and the same result every time.
+times d_image [256, C] give their feature gradients (with x and y times its depth channel as two more
+columns: the gradient of the depth's slope), and d loss / d ln alpha [16, 256] times the monomials 1, x, y,
+x^2, xy, y^2 [256, 6] the moments that shape gradients are made of. One row per (splat, tile) slot and a
+fixed order: no atomics, and the same result every time.
 """
 
 import warp as wp
 
 from ggwarp.kernels.composite_patches import (
     ALPHA_MAX,
+    DEPTH,
     LOG_ALPHA_MIN,
-    OPACITY_MIN,
     TRANSMITTANCE_MIN,
     gathered,
     quadratic,
@@ -57,7 +58,7 @@ def _make_forward(channels: int):
         tile_ranges: wp.array[wp.vec2i],
         means2d: wp.array[wp.vec2],
         conics: wp.array[wp.vec4],
-        depths: wp.array[float],
+        slopes: wp.array[wp.vec2],
         features: wp.array2d[float],
         image: wp.array3d[float],
         transmittance: wp.array2d[float],
@@ -82,19 +83,23 @@ def _make_forward(channels: int):
             gaussian = int(0)
             if lane < size:
                 gaussian = slot_gaussians[pair_slots[begin + lane]]
-                s = quadratic(gathered(means2d[gaussian], conics[gaussian], depths[gaussian]), tile_x, tile_y)
+                s = quadratic(gathered(means2d[gaussian], conics[gaussian], slopes[gaussian]), tile_x, tile_y)
             wp.tile_scatter_masked(splats, lane, s, lane < size)
             wp.tile_scatter_masked(gaussians, lane, gaussian, lane < size)
             for k in range(size):
                 if T >= TRANSMITTANCE_MIN:
                     s = splats[k]
-                    power = _log_alpha(s, x - s[0], y - s[1])
+                    dx = x - s[0]
+                    dy = y - s[1]
+                    power = _log_alpha(s, dx, dy)
                     if power >= LOG_ALPHA_MIN:
                         w = wp.min(wp.exp(power), ALPHA_MAX) * T
-                        acc += feature_rows[gaussians[k]] * w
+                        f = feature_rows[gaussians[k]]
+                        f[DEPTH] += dx * s[6] + dy * s[7]
+                        acc += f * w
                         after = T - w
                         if T >= 0.5 and after < 0.5:
-                            median = s[7]
+                            median = f[DEPTH]
                         T = after
             transparent = wp.tile_sum(wp.tile(wp.where(T >= TRANSMITTANCE_MIN, 1, 0)))
             begin += size
@@ -112,6 +117,7 @@ def _make_forward(channels: int):
 
 def _make_adjoint(channels: int):
     feature_row = wp.types.vector(channels, wp.float32)
+    columns = channels + 2
 
     # Three blocks fit an SM with 80 registers, which spill nothing at 20 channels.
     @wp.kernel(name=f"composite_cuda_adjoint_{channels}", launch_bounds=(BLOCK, 3))
@@ -122,6 +128,7 @@ def _make_adjoint(channels: int):
         tile_ranges: wp.array[wp.vec2i],
         means2d: wp.array[wp.vec2],
         conics: wp.array[wp.vec4],
+        slopes: wp.array[wp.vec2],
         features: wp.array2d[float],
         image: wp.array3d[float],
         transmittance: wp.array2d[float],
@@ -129,6 +136,7 @@ def _make_adjoint(channels: int):
         d_transmittance: wp.array2d[float],
         slot_d_means2d: wp.array[wp.vec2],
         slot_d_conics: wp.array[wp.vec4],
+        slot_d_slopes: wp.array[wp.vec2],
         slot_d_features: wp.array2d[float],
     ):
         tile, lane = wp.tid()
@@ -140,7 +148,7 @@ def _make_adjoint(channels: int):
         splats = wp.tile_empty(shape=BLOCK, dtype=vec8, storage="shared")
         gaussians = wp.tile_empty(shape=BLOCK, dtype=int, storage="shared")
         slots = wp.tile_empty(shape=BLOCK, dtype=int, storage="shared")
-        gradients = wp.tile_empty(shape=(BLOCK, channels), dtype=float, storage="shared")
+        gradients = wp.tile_empty(shape=(BLOCK, columns), dtype=float, storage="shared")
         monomials = wp.tile_empty(shape=(BLOCK, 6), dtype=float, storage="shared")
         x = float(_column(lane))
         y = float(_row(lane))
@@ -160,6 +168,8 @@ def _make_adjoint(channels: int):
             g[c] = d_image[c, row, column]
             rest += g[c] * image[c, row, column]
             wp.tile_scatter_masked(gradients, lane, c, g[c], True)
+        wp.tile_scatter_masked(gradients, lane, channels, g[DEPTH] * u, True)
+        wp.tile_scatter_masked(gradients, lane, channels + 1, g[DEPTH] * v, True)
         T = float(1.0)
         pairs = tile_ranges[tile]
         begin = pairs[0]
@@ -172,7 +182,7 @@ def _make_adjoint(channels: int):
             if lane < size:
                 slot = pair_slots[begin + lane]
                 gaussian = slot_gaussians[slot]
-                s = quadratic(gathered(means2d[gaussian], conics[gaussian], 0.0), tile_x, tile_y)
+                s = quadratic(gathered(means2d[gaussian], conics[gaussian], slopes[gaussian]), tile_x, tile_y)
             wp.tile_scatter_masked(splats, lane, s, lane < size)
             wp.tile_scatter_masked(gaussians, lane, gaussian, lane < size)
             wp.tile_scatter_masked(slots, lane, slot, lane < size)
@@ -182,11 +192,14 @@ def _make_adjoint(channels: int):
                 for k in range(wp.min(size - first, GROUP)):
                     if T >= TRANSMITTANCE_MIN:
                         s = splats[first + k]
-                        power = _log_alpha(s, x - s[0], y - s[1])
+                        dx = x - s[0]
+                        dy = y - s[1]
+                        power = _log_alpha(s, dx, dy)
                         if power >= LOG_ALPHA_MIN:
                             raw = wp.exp(power)
                             alpha = wp.min(raw, ALPHA_MAX)
                             q = wp.dot(feature_rows[gaussians[first + k]], g)
+                            q += g[DEPTH] * (dx * s[6] + dy * s[7])
                             w[k] = alpha * T
                             rest -= w[k] * q
                             if raw < ALPHA_MAX:
@@ -212,9 +225,15 @@ def _make_adjoint(channels: int):
                     mxx = moments[lane, 3] + ox * (u1 + mx)
                     mxy = moments[lane, 4] + ox * v1 + oy * mx
                     myy = moments[lane, 5] + oy * (v1 + my)
-                    slot_d_means2d[slot] = wp.vec2(-2.0 * s[2] * mx - s[3] * my, -s[3] * mx - 2.0 * s[4] * my)
-                    slot_d_conics[slot] = wp.vec4(
-                        -0.5 * mxx, -mxy, -0.5 * myy, m0 / wp.max(s[6], OPACITY_MIN)
+                    # The depth's plane moves with the mean.
+                    d_depth = sums[lane, DEPTH]
+                    slot_d_means2d[slot] = wp.vec2(
+                        -2.0 * s[2] * mx - s[3] * my - s[6] * d_depth,
+                        -s[3] * mx - 2.0 * s[4] * my - s[7] * d_depth,
+                    )
+                    slot_d_conics[slot] = wp.vec4(-0.5 * mxx, -mxy, -0.5 * myy, m0 * wp.exp(-s[5]))
+                    slot_d_slopes[slot] = wp.vec2(
+                        sums[lane, channels] + ox * d_depth, sums[lane, channels + 1] + oy * d_depth
                     )
             # Also the barrier before shared memory is written again.
             left = wp.tile_sum(wp.tile(wp.where(T >= TRANSMITTANCE_MIN, 1, 0)))
@@ -224,14 +243,15 @@ def _make_adjoint(channels: int):
             slot = pair_slots[pair]
             slot_d_means2d[slot] = wp.vec2()
             slot_d_conics[slot] = wp.vec4()
+            slot_d_slopes[slot] = wp.vec2()
             for c in range(channels):
                 slot_d_features[slot, c] = 0.0
 
     return adjoint
 
 
-FORWARD = {channels: _make_forward(channels) for channels in (3, 4, 20)}
+FORWARD = {channels: _make_forward(channels) for channels in (4, 20)}
 """By the number of channels."""
 
-ADJOINT = {channels: _make_adjoint(channels) for channels in (3, 4, 20)}
+ADJOINT = {channels: _make_adjoint(channels) for channels in (4, 20)}
 """By the number of channels."""

@@ -28,6 +28,9 @@ OPTIONS = {
 
 vec8 = wp.types.vector(8, wp.float32)
 
+DEPTH = wp.constant(3)
+"""The channel of depth."""
+
 LOG_ALPHA_MIN = wp.constant(-5.541263545158426)
 ALPHA_MAX = wp.constant(0.99)
 TRANSMITTANCE_MIN = wp.constant(1.0e-4)
@@ -100,8 +103,8 @@ def store_patch(plane: wp.array[wp.vec4], quad: int, quads: int, patches: wp.arr
 
 
 @wp.func
-def gathered(mean: wp.vec2, conic: wp.vec4, depth: float) -> vec8:
-    return vec8(mean[0], mean[1], conic[0], conic[1], conic[2], 0.0, conic[3], depth)
+def gathered(mean: wp.vec2, conic: wp.vec4, slope: wp.vec2) -> vec8:
+    return vec8(mean[0], mean[1], conic[0], conic[1], conic[2], conic[3], slope[0], slope[1])
 
 
 @wp.func
@@ -109,7 +112,7 @@ def quadratic(s: vec8, tile_x: int, tile_y: int) -> vec8:
     """What :func:`gathered` returned, as the loops over patches want it.
 
     Centre from the tile's corner (2), factors of dx^2, dx dy, dy^2 in ln alpha (3), ln opacity,
-    opacity, depth.
+    slope of the depth (2).
     """
     return vec8(
         s[0] - float(tile_x * 16),
@@ -117,7 +120,7 @@ def quadratic(s: vec8, tile_x: int, tile_y: int) -> vec8:
         -0.5 * s[2],
         -s[3],
         -0.5 * s[4],
-        wp.log(wp.max(s[6], OPACITY_MIN)),
+        wp.log(wp.max(s[5], OPACITY_MIN)),
         s[6],
         s[7],
     )

@@ -4,6 +4,10 @@
 A Gaussian of mean p, rotation R and scale S seen by the camera ``T_cw`` becomes an ellipse with
 covariance J A S S^T A^T J^T + 0.3 I (px^2), A = R_cw R, where J is the Jacobian of the pinhole at
 the mean (Zwicker 2001; Kerbl 2023). Outside 1.3 times the field of view J is frozen at its edge.
+
+A pixel sees the Gaussian at its depth given that pixel: the conditional expectation of z given (u, v),
+which is a plane over the image through the mean. One depth for the whole ellipse would bend slanted surfaces
+towards the camera, as the splats in front win.
 """
 
 from __future__ import annotations
@@ -58,15 +62,17 @@ class Splats:
     Attributes:
         means2d: [n] vec2, pixels.
         conics: [n] vec4 (a, b, c, opacity): alpha = opacity exp(-(a dx^2 + c dy^2) / 2 - b dx dy).
-        depths: [n] camera z, metres.
+        slopes: [n] vec2, metres per pixel: what the depth gains away from the mean.
+        depths: [n] camera z of the mean, metres.
         tile_rects: [n] vec4i (x0, y0, x1, y1) tiles, half open; x0 == x1 when culled.
-        features: [n, C] colour (clamped at 0), depth, identity if C is 20.
+        features: [n, C] colour (clamped at 0), depth of the mean, identity if C is 20.
         heads: [n] vec4, the first four columns of ``features``.
         identities: [n] vec16, the others; None if C is 4.
     """
 
     means2d: wp.array
     conics: wp.array
+    slopes: wp.array
     depths: wp.array
     tile_rects: wp.array
     features: wp.array
@@ -123,6 +129,18 @@ def conic_of(w0: wp.vec3, w1: wp.vec3):
 
 
 @wp.func
+def depth_slope(w0: wp.vec3, w1: wp.vec3, wz: wp.vec3):
+    """Slope of E[z | u, v] for the rows of W and the row of z: conic times (w0 . wz, w1 . wz)."""
+    # Determinant and products as in conic_of: thin ellipses would cancel.
+    n = wp.cross(w0, w1)
+    inverse_det = 1.0 / (wp.dot(n, n) + LOW_PASS * (wp.dot(w0, w0) + wp.dot(w1, w1)) + LOW_PASS * LOW_PASS)
+    return inverse_det * wp.vec2(
+        wp.dot(n, wp.cross(wz, w1)) + LOW_PASS * wp.dot(w0, wz),
+        wp.dot(n, wp.cross(w0, wz)) + LOW_PASS * wp.dot(w1, wz),
+    )
+
+
+@wp.func
 def _off_screen(centre: float, reach2: float, size: int):
     beyond = wp.max(-centre, centre - float(size - 1))
     return beyond > 0.0 and beyond * beyond > reach2
@@ -154,6 +172,7 @@ def _project(
     camera: CameraIntrinsics,
     means2d: wp.array[wp.vec2],
     conics: wp.array[wp.vec4],
+    slopes: wp.array[wp.vec2],
     depths: wp.array[float],
     tile_rects: wp.array[wp.vec4i],
     feature_heads: wp.array[wp.vec4],
@@ -181,12 +200,16 @@ def _project(
     norm2 = wp.dot(quats[i], quats[i])
     rotation = rotation_of(T_cw[0]) * quat_to_matrix(wp.normalize(quats[i]))
     m = wp.transpose(scaled_columns(rotation, exp_each(log_scales[i])))
-    conic, xx, yy = conic_of(m * row_x, m * row_y)
+    w0 = m * row_x
+    w1 = m * row_y
+    conic, xx, yy = conic_of(w0, w1)
+    slope = depth_slope(w0, w1, wp.vec3(m[0, 2], m[1, 2], m[2, 2]))
     # alpha >= 1/255 <=> the squared Mahalanobis distance is at most 2 ln(255 opacity).
     reach = 2.0 * wp.log(255.0 * opacity)
     colour = colours[i]
     # A sum is finite only if its terms are.
-    check = norm2 + u + v + conic[0] + conic[1] + conic[2] + xx + yy + colour[0] + colour[1] + colour[2]
+    check = norm2 + u + v + conic[0] + conic[1] + conic[2] + xx + yy + slope[0] + slope[1]
+    check += colour[0] + colour[1] + colour[2]
     if identities:
         o = identities[i]
         check += wp.dot(o, o)
@@ -199,6 +222,7 @@ def _project(
     tile_rects[i] = wp.vec4i(x0, y0, x1, y1)
     means2d[i] = wp.vec2(u, v)
     conics[i] = wp.vec4(conic[0], conic[1], conic[2], opacity)
+    slopes[i] = slope
     depths[i] = p[2]
     feature_heads[i] = wp.vec4(
         wp.max(0.5 + SH_C0 * colour[0], 0.0),
@@ -244,6 +268,8 @@ def project(
         _project,
         count,
         inputs=[means, quats, log_scales, opacity_logits, colours, identities, T_cw, camera],
-        outputs=[out.means2d, out.conics, out.depths, out.tile_rects, out.heads, out.identities],
+        outputs=[
+            out.means2d, out.conics, out.slopes, out.depths, out.tile_rects, out.heads, out.identities,
+        ],
         device=means.device,
-    )
+    )  # fmt: skip

@@ -24,6 +24,7 @@ from ggwarp.kernels.project import (
     SH_C0,
     CameraIntrinsics,
     conic_of,
+    depth_slope,
     exp_each,
     frozen_slope,
     jacobian_row_x,
@@ -44,12 +45,14 @@ class SlotGradients:
     Attributes:
         d_means2d: [slots] vec2.
         d_conics: [slots] vec4 (a, b, c, opacity).
+        d_slopes: [slots] vec2.
         d_features: [slots, C].
         heads, identities: views of ``d_features`` as in :class:`ggwarp.kernels.project.Splats`.
     """
 
     d_means2d: wp.array
     d_conics: wp.array
+    d_slopes: wp.array
     d_features: wp.array
     heads: wp.array
     identities: wp.array | None
@@ -91,6 +94,7 @@ def _project_adjoint(
     counts: wp.array[int],
     slot_d_means2d: wp.array[wp.vec2],
     slot_d_conics: wp.array[wp.vec4],
+    slot_d_slopes: wp.array[wp.vec2],
     slot_heads: wp.array[wp.vec4],
     slot_identities: wp.array[vec16],
     d_means: wp.array[wp.vec3],
@@ -111,10 +115,12 @@ def _project_adjoint(
     end = wp.clamp(slot_offsets[rank + 1], begin, slot_d_means2d.shape[0])
     d_uv = wp.vec2(0.0)
     d_conic = wp.vec4(0.0)
+    d_slope = wp.vec2(0.0)
     d_head = wp.vec4(0.0)
     for slot in range(begin, end):
         d_uv += slot_d_means2d[slot]
         d_conic += slot_d_conics[slot]
+        d_slope += slot_d_slopes[slot]
         d_head += slot_heads[slot]
     if d_identities:
         d_o = vec16()
@@ -140,14 +146,21 @@ def _project_adjoint(
     j1 = jacobian_row_y(p, camera)
     w0 = wp.transpose(m) * j0
     w1 = wp.transpose(m) * j1
+    jz = wp.vec3(0.0, 0.0, 1.0)
+    wz = m[2]
     conic, _xx, _yy = conic_of(w0, w1)
 
-    # d covariance = -Q G Q for the conic Q and its symmetric gradient G.
+    # d covariance = -g, g = Q G Q for the conic Q and its symmetric gradient G; the slope Q k with
+    # k = (w0 . wz, w1 . wz) adds the symmetric part of (Q d_slope) slope^T.
     conic2 = wp.mat22(conic[0], conic[1], conic[1], conic[2])
+    d_k = conic2 * d_slope
+    slope_term = wp.outer(d_k, depth_slope(w0, w1, wz))
     g = conic2 * wp.mat22(d_conic[0], 0.5 * d_conic[1], 0.5 * d_conic[1], d_conic[2]) * conic2
-    d_w0 = -2.0 * (g[0, 0] * w0 + g[0, 1] * w1)
-    d_w1 = -2.0 * (g[1, 0] * w0 + g[1, 1] * w1)
-    d_m = wp.outer(j0, d_w0) + wp.outer(j1, d_w1)
+    g += 0.5 * (slope_term + wp.transpose(slope_term))
+    d_w0 = d_k[0] * wz - 2.0 * (g[0, 0] * w0 + g[0, 1] * w1)
+    d_w1 = d_k[1] * wz - 2.0 * (g[1, 0] * w0 + g[1, 1] * w1)
+    d_wz = d_k[0] * w0 + d_k[1] * w1
+    d_m = wp.outer(j0, d_w0) + wp.outer(j1, d_w1) + wp.outer(jz, d_wz)
     d_j0 = m * d_w0
     d_j1 = m * d_w1
     d_log_scales[i] = wp.vec3(
@@ -169,7 +182,7 @@ def _project_adjoint(
     d_means[i] = wp.transpose(R_cw) * d_p
     if d_poses:
         # T_cw <- Exp(v, w) T_cw moves p by v + w x p and turns the columns of m by w.
-        d_w = wp.cross(p, d_p) + wp.cross(d_j0, j0) + wp.cross(d_j1, j1)
+        d_w = wp.cross(p, d_p) + wp.cross(d_j0, j0) + wp.cross(d_j1, j1) + wp.cross(m * d_wz, jz)
         d_poses[k] = vec6(d_p[0], d_p[1], d_p[2], d_w[0], d_w[1], d_w[2])
 
 
@@ -232,7 +245,7 @@ def project_adjoint(
         inputs=[
             means, quats, log_scales, opacity_logits, colours, T_cw, camera,
             tiles.visible, tiles.ranks, tiles.slot_offsets, tiles.counts,
-            slots.d_means2d, slots.d_conics, slots.heads, slots.identities,
+            slots.d_means2d, slots.d_conics, slots.d_slopes, slots.heads, slots.identities,
         ],
         outputs=[
             d_means, d_quats, d_log_scales, d_opacity_logits, d_colours, d_identities,

@@ -59,9 +59,9 @@ def render(
             is the pose's gradient; apply a step to ``T_cw``, not to ``tau``.
 
     Returns:
-        image [C, h, w]: colour, expected depth (sum of weight times camera z, metres), identity; C = 4 or
-        20. transmittance [h, w]. median_depth [h, w]: metres, 0 where the transmittance stays above
-        0.5; carries no gradient.
+        image [C, h, w]: colour, expected depth (sum of weight times the camera z that the Gaussian is
+        expected to have at the pixel, metres), identity; C = 4 or 20. transmittance [h, w].
+        median_depth [h, w]: metres, 0 where the transmittance stays above 0.5; carries no gradient.
 
     Raises:
         ValueError: a tensor of the wrong shape, type or device; ``T_cw`` requires a gradient; ``tau`` is

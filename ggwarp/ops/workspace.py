@@ -37,6 +37,7 @@ def allocate_splats(count: int, channels: int, *, device: Any) -> Splats:
     return Splats(
         _empty(n, wp.vec2, device),
         _empty(n, wp.vec4, device),
+        _empty(n, wp.vec2, device),
         _empty(n, float, device),
         wp.zeros(n, dtype=wp.vec4i, device=device),
         features,
@@ -51,6 +52,7 @@ def allocate_slot_gradients(slots: int, channels: int, *, device: Any) -> SlotGr
     return SlotGradients(
         _empty(n, wp.vec2, device),
         _empty(n, wp.vec4, device),
+        _empty(n, wp.vec2, device),
         d_features,
         *_views(d_features),
     )

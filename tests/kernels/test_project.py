@@ -61,7 +61,7 @@ class Projector:
         )
         return self.splats
 
-    def adjoint(self, d_means2d, d_conics, d_features, *, pose=True):
+    def adjoint(self, d_means2d, d_conics, d_slopes, d_features, *, pose=True):
         """Spread per-Gaussian gradients over the Gaussians' slots and chain them."""
         size = {"width": self.camera.width, "height": self.camera.height}
         tiles = allocate_tiles(self.n, 20 * self.n, **size, device=self.device)
@@ -73,6 +73,7 @@ class Projector:
         for out, values in (
             (slots.d_means2d, d_means2d),
             (slots.d_conics, d_conics),
+            (slots.d_slopes, d_slopes),
             (slots.d_features, d_features),
         ):
             out.assign((values * share[:, None])[owner if self.n else np.zeros(0, int)].astype(np.float32))
@@ -117,7 +118,7 @@ def test_projects_as_the_oracle(device, rng, identity):
     _, expected = oracle_of(scene)
     seen = splats.tile_rects.numpy()[:, 2] > 0
     assert seen.mean() > 0.5
-    for name in ("means2d", "conics", "depths", "features"):
+    for name in ("means2d", "conics", "slopes", "depths", "features"):
         value = getattr(expected, name).detach().numpy()[seen]
         actual = getattr(splats, name).numpy()[seen]
         np.testing.assert_allclose(
@@ -162,13 +163,14 @@ def test_adjoint_agrees_with_the_oracle(device, rng, spread):
         scene["colours"] *= 3.0
     projector = Projector(scene, device)
     seen = projector.forward().tile_rects.numpy()[:, 2:3] > 0
-    weights = [rng.normal(size=(n, k)) * seen for k in (2, 4, 20)]
+    weights = [rng.normal(size=(n, k)) * seen for k in (2, 4, 2, 20)]
     # Conics of wide splats are small: keep all terms comparable.
+    weights[2] *= 500.0
     weights[1] *= [50.0, 50.0, 50.0, 1.0]
     actual = projector.adjoint(*weights)
     tau = torch.zeros(6, dtype=torch.float64, requires_grad=True)
     tensors, splats = oracle_of(scene, tau=tau)
-    outputs = (splats.means2d, splats.conics, splats.features)
+    outputs = (splats.means2d, splats.conics, splats.slopes, splats.features)
     sum((o * torch.tensor(w)).sum() for o, w in zip(outputs, weights, strict=True)).backward()
     for name, tensor in tensors.items():
         assert_gradients_agree(actual[name], tensor.grad.numpy(), name)
@@ -178,12 +180,13 @@ def test_adjoint_agrees_with_the_oracle(device, rng, spread):
 def test_adjoint_agrees_with_finite_differences(device, rng):
     n = 60
     scene = make_scene(rng, n, spread=0.25)
-    weights = [rng.normal(size=(n, k)) for k in (2, 4, 20)]
+    weights = [rng.normal(size=(n, k)) for k in (2, 4, 2, 20)]
     weights[1][:, :3] *= 50.0
+    weights[2] *= 500.0
 
     def loss(changed, T_cw=T_CW):
         splats = Projector(changed, device, T_cw=T_cw).forward()
-        outputs = (splats.means2d, splats.conics, splats.features)
+        outputs = (splats.means2d, splats.conics, splats.slopes, splats.features)
         return sum((o.numpy().astype(np.float64) * w).sum() for o, w in zip(outputs, weights, strict=True))
 
     gradients = Projector(scene, device).adjoint(*weights)
@@ -203,9 +206,9 @@ def test_adjoint_agrees_with_finite_differences(device, rng):
 
 def test_without_identity_or_pose_the_rest_is_the_same(device, rng):
     scene = make_scene(rng, 80)
-    weights = [rng.normal(size=(80, k)) for k in (2, 4, 20)]
+    weights = [rng.normal(size=(80, k)) for k in (2, 4, 2, 20)]
     full = Projector(scene, device).adjoint(*weights)
-    lean = Projector(scene, device, identity=False).adjoint(*weights[:2], weights[2][:, :4], pose=False)
+    lean = Projector(scene, device, identity=False).adjoint(*weights[:3], weights[3][:, :4], pose=False)
     assert set(lean) == set(FIELDS[:5])
     for name, value in lean.items():
         np.testing.assert_array_equal(value, full[name])
@@ -214,11 +217,11 @@ def test_without_identity_or_pose_the_rest_is_the_same(device, rng):
 def test_pose_gradient_is_reduced_over_many_blocks(device, rng):
     n = 3000
     scene = make_scene(rng, n, spread=0.25)
-    weights = [rng.normal(size=(n, k)) for k in (2, 4, 20)]
+    weights = [rng.normal(size=(n, k)) for k in (2, 4, 2, 20)]
     weights[0] += 1.0
     tau = torch.zeros(6, dtype=torch.float64, requires_grad=True)
     _, splats = oracle_of(scene, tau=tau)
-    outputs = (splats.means2d, splats.conics, splats.features)
+    outputs = (splats.means2d, splats.conics, splats.slopes, splats.features)
     sum((o * torch.tensor(w)).sum() for o, w in zip(outputs, weights, strict=True)).backward()
     projector = Projector(scene, device)
     first = projector.adjoint(*weights)["tau"]
@@ -259,7 +262,7 @@ def test_faulty_gaussians_are_culled_and_harm_none(device):
     seen = (rects[:, 2] > rects[:, 0]) & (rects[:, 3] > rects[:, 1])
     assert seen.tolist() == [True] + [False] * (len(seen) - 1)
     n = len(seen)
-    gradients = projector.adjoint(np.ones((n, 2)), np.ones((n, 4)), np.ones((n, 20)))
+    gradients = projector.adjoint(np.ones((n, 2)), np.ones((n, 4)), np.ones((n, 2)), np.ones((n, 20)))
     for name, value in gradients.items():
         assert np.isfinite(value).all(), name
         if name != "tau":
@@ -277,7 +280,9 @@ def test_extreme_scales_stay_finite(device, rng, log_scale):
     if log_scale < 0:
         assert seen.all()
         np.testing.assert_allclose(splats.conics.numpy()[:, [0, 2]], 1 / 0.3, rtol=1e-5)
-    for value in projector.adjoint(np.ones((4, 2)), np.ones((4, 4)), np.ones((4, 20))).values():
+    for value in projector.adjoint(
+        np.ones((4, 2)), np.ones((4, 4)), np.ones((4, 2)), np.ones((4, 20))
+    ).values():
         assert np.isfinite(value).all()
 
 
@@ -287,12 +292,13 @@ def test_thin_ellipses_keep_their_determinant(device):
     scene = make_scene(np.random.default_rng(0), 1)
     scene |= {
         "means": np.array([[0.0, 0.0, 1.0]]),
-        "quats": np.array([[np.cos(0.4), 0, 0, np.sin(0.4)]]),
+        "quats": np.array([[np.cos(0.4), 0.1, 0.2, np.sin(0.4)]]),
         "log_scales": np.log([[2.0, 1e-4, 1e-4]]),
     }
     splats = Projector(scene, device, T_cw=np.eye(4), camera=camera).forward()
     _, expected = oracle_of(scene, T_cw=np.eye(4), camera=camera)
     np.testing.assert_allclose(splats.conics.numpy()[0], expected.conics.detach().numpy()[0], rtol=1e-4)
+    np.testing.assert_allclose(splats.slopes.numpy()[0], expected.slopes.detach().numpy()[0], rtol=1e-4)
 
 
 @settings(max_examples=15, deadline=None)
@@ -300,7 +306,7 @@ def test_thin_ellipses_keep_their_determinant(device):
 def test_any_size(n, seed):
     scene = make_scene(np.random.default_rng(seed), n, spread=1.5)
     projector = Projector(scene, "cpu")
-    gradients = projector.adjoint(np.ones((n, 2)), np.ones((n, 4)), np.ones((n, 20)))
+    gradients = projector.adjoint(np.ones((n, 2)), np.ones((n, 4)), np.ones((n, 2)), np.ones((n, 20)))
     culled = projector.splats.tile_rects.numpy()[:n, 2] == 0
     assert all(np.isfinite(v).all() for v in gradients.values())
     assert not gradients["means"][culled].any()

@@ -132,6 +132,51 @@ def test_gradients_agree_with_finite_differences(device):
     assert relative(tau.grad, torch.tensor(numeric)) < 0.02
 
 
+def test_a_slanted_plane_of_discs_renders_the_planes_depth(device):
+    """Splats of one depth each bend it towards the camera, as the nearer ones win."""
+    camera = Camera(40, 30, 100.0, 100.0, 19.5, 14.5)
+    angle = np.deg2rad(50.0)
+    axes = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(angle), np.sin(angle)]])
+    steps = np.arange(-1.0, 1.0, 0.05)
+    means = [0.0, 0.0, 2.0] + np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2) @ axes
+    n = len(means)
+    scene = (
+        torch.tensor(means),
+        torch.tensor([np.cos(angle / 2), np.sin(angle / 2), 0.0, 0.0]).repeat(n, 1),
+        torch.tensor(np.log([0.06, 0.06, 0.0005])).repeat(n, 1),
+        torch.full((n,), 0.5, dtype=torch.float64),
+        torch.zeros((n, 3), dtype=torch.float64),
+    )
+    T_cw = torch.eye(4, dtype=torch.float64)
+    v, u = np.mgrid[: camera.height, : camera.width]
+    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], -1)
+    normal = np.cross(*axes)
+    plane = torch.tensor(2.0 * normal[2] / (rays @ normal))
+
+    def errors(depth):
+        return (depth.detach().cpu().double() - plane).abs()
+
+    image, transmittance, median = render(
+        *(t.to(device).float() for t in scene), None, T_cw.to(device).float(), camera
+    )
+    splats = oracle.project(*scene, None, T_cw, camera)
+    flat, behind, _ = oracle.composite(
+        splats.means2d,
+        splats.conics,
+        splats.slopes * 0.0,
+        splats.depths,
+        splats.features,
+        width=40,
+        height=30,
+    )
+    assert transmittance.max() < 0.01
+    bent = errors(flat[3] / (1.0 - behind))
+    straight = errors(image[3] / (1.0 - transmittance))
+    assert bent.mean() > 0.05
+    assert straight.mean() < 0.01 and straight.max() < 0.015
+    assert errors(median).max() < 0.02
+
+
 def test_uses_the_tensors_own_memory(device):
     """Strided input is taken, and contiguous input is not copied: its values may change between calls."""
     scene = on(device, make_scene(10), grad=False)

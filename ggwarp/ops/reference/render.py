@@ -28,13 +28,15 @@ class ProjectedGaussians:
     Attributes:
         means2d: [n, 2] pixels.
         conics: [n, 4] (a, b, c, opacity), see :func:`composite`.
-        depths: [n] camera z, metres.
-        features: [n, C] colour, depth, identity.
+        slopes: [n, 2] metres per pixel: of E[z | u, v], the depth given the pixel.
+        depths: [n] camera z of the mean, metres.
+        features: [n, C] colour, depth of the mean, identity.
         extents: [n, 2] half width and height of where alpha reaches 1/255, pixels; 0 when culled.
     """
 
     means2d: Tensor
     conics: Tensor
+    slopes: Tensor
     depths: Tensor
     features: Tensor
     extents: Tensor
@@ -89,9 +91,11 @@ def project(
     jacobians = torch.stack(
         [camera.fx / z, zero, -camera.fx * slope_x / z, zero, camera.fy / z, -camera.fy * slope_y / z], -1
     ).reshape(-1, 2, 3)
-    W = jacobians @ T_cw[:3, :3] @ quat_to_matrix(quats) * log_scales.exp()[:, None, :]
+    M = T_cw[:3, :3] @ quat_to_matrix(quats) * log_scales.exp()[:, None, :]
+    W = jacobians @ M
     covariances = W @ W.mT + LOW_PASS * torch.eye(2, dtype=means.dtype, device=means.device)
     inverses = torch.linalg.inv(covariances)
+    slopes = (inverses @ W @ M[:, 2, :, None])[..., 0]
     opacities = torch.sigmoid(opacity_logits)
     conics = torch.stack([inverses[:, 0, 0], inverses[:, 0, 1], inverses[:, 1, 1], opacities], -1)
     colour = (0.5 + SH_C0 * colours).clamp(min=0.0)
@@ -101,12 +105,13 @@ def project(
         reach = 2.0 * torch.log(255.0 * opacities).clamp(min=0.0)
         variances = torch.stack([covariances[:, 0, 0], covariances[:, 1, 1]], -1)
         extents = torch.sqrt(reach[:, None] * variances) * visible[:, None]
-    return ProjectedGaussians(means2d, conics, z, torch.cat(parts, -1), extents)
+    return ProjectedGaussians(means2d, conics, slopes, z, torch.cat(parts, -1), extents)
 
 
 def composite(
     means2d: Tensor,
     conics: Tensor,
+    slopes: Tensor,
     depths: Tensor,
     features: Tensor,
     *,
@@ -116,15 +121,16 @@ def composite(
     """Blend splats front to back.
 
     alpha = min(0.99, opacity exp(-(a dx^2 + c dy^2) / 2 - b dx dy)); contributions under 1/255 are
-    skipped and a pixel is finished once its transmittance is under 1e-4.
+    skipped and a pixel is finished once its transmittance is under 1e-4. To the depth (channel 3) a splat
+    contributes its own at the pixel: features[:, 3] + slopes . (dx, dy).
 
     Args:
-        means2d, conics, depths, features: as in :class:`ProjectedGaussians`, any order.
+        means2d, conics, slopes, depths, features: as in :class:`ProjectedGaussians`, any order.
         width, height: image size, pixels.
 
     Returns:
-        Image [C, h, w], transmittance [h, w], median depth [h, w] (of the first splat after which the
-        transmittance is under 0.5; 0 where there is none).
+        Image [C, h, w], transmittance [h, w], median depth [h, w] (at the pixel, of the first splat
+        after which the transmittance is under 0.5; 0 where there is none).
     """
     options = {"dtype": means2d.dtype, "device": means2d.device}
     v, u = torch.meshgrid(torch.arange(height, **options), torch.arange(width, **options), indexing="ij")
@@ -137,10 +143,12 @@ def composite(
         alpha = (opacity * torch.exp(-0.5 * (a * dx * dx + c * dy * dy) - b * dx * dy)).clamp(max=ALPHA_MAX)
         counts = (alpha >= ALPHA_MIN) & (transmittance >= TRANSMITTANCE_MIN)
         alpha = torch.where(counts, alpha, torch.zeros_like(alpha))
-        image = image + features[i][:, None, None] * (alpha * transmittance)
+        values = features[i][:, None, None].repeat(1, height, width)
+        values[3] = values[3] + slopes[i, 0] * dx + slopes[i, 1] * dy
+        image = image + values * (alpha * transmittance)
         after = transmittance * (1.0 - alpha)
         crosses = (transmittance >= 0.5) & (after < 0.5)
-        median_depth = torch.where(crosses, depths[i].detach(), median_depth)
+        median_depth = torch.where(crosses, values[3].detach(), median_depth)
         transmittance = after
     return image, transmittance, median_depth
 
@@ -165,6 +173,7 @@ def render(
     return composite(
         splats.means2d[seen],
         splats.conics[seen],
+        splats.slopes[seen],
         splats.depths[seen],
         splats.features[seen],
         width=camera.width,
