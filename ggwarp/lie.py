@@ -67,7 +67,7 @@ def se3_log(T: ArrayLike) -> Array:
     _, b, c = _series(float(np.linalg.norm(w)))
     W = hat(w)
     V = np.eye(3) + b * W + c * (W @ W)
-    return np.concatenate([np.linalg.solve(V, T[:3, 3]), w])
+    return np.concatenate([np.linalg.solve(V, T[:3, 3]), w]).astype(np.float64)
 
 
 def inverse(T: ArrayLike) -> Array:

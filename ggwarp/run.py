@@ -130,8 +130,9 @@ def execute(config: RunConfig, display: Display, interruption: Interruption, sta
     display.note(f"ggwarp {ggwarp.__version__}: {config.seq}, preset {config.preset}")
     loading.init_quietly()
     device = device_name(config.device)
-    assert config.seq is not None, "check() has seen to it"
-    dataset = open_dataset(config.seq, data_root=config.data_root(), masks=config.masks)
+    seq = config.seq
+    assert seq is not None, "check() has seen to it"
+    dataset = open_dataset(seq, data_root=config.data_root(), masks=config.masks)
     if not len(dataset):
         raise DatasetError(f"{config.seq}: the sequence is empty")
     if not dataset.has_depth:
@@ -140,14 +141,16 @@ def execute(config: RunConfig, display: Display, interruption: Interruption, sta
     scale = image_scale(config.scale, dataset.camera, device)
     every = max(1, -(-len(indices) // 10)) if config.save_renders is None else config.save_renders
     config = dataclasses.replace(config, device=device, scale=scale, save_renders=every)
-    name = config.seq if dataset.kind == "synthetic" else dataset.name
+    name = seq if dataset.kind == "synthetic" else dataset.name
     folder = report.create_run_folder(config.out, name)
     write_toml(dataclasses.replace(config, out=None), folder / "config.toml")
     _introduce(config, dataset, len(indices), display)
 
     reader = FrameReader(dataset, indices, scale=scale)
+    # Without masks there is no object to learn: the picture gets the time instead.
+    system = dataclasses.replace(config.slam(), use_identity=config.use_identity and dataset.has_masks)
     scheduler: Scheduler | None = None if config.fps is None else LiveScheduler(config.fps)
-    slam = Slam(config.slam(), reader.camera, reader.sensor_camera, device=device, scheduler=scheduler)
+    slam = Slam(system, reader.camera, reader.sensor_camera, device=device, scheduler=scheduler)
     load_kernels(device, display)
     record = report.RunRecord(name, dataset.kind, device)
     with reader:
@@ -180,6 +183,8 @@ def _introduce(config: RunConfig, dataset: Dataset, frames: int, display: Displa
         f"{frames} frames on {config.device} at {size.width}x{size.height} "
         f"(--scale {config.scale:g} of {native.width}x{native.height})"
     )
+    if config.use_identity and not dataset.has_masks:
+        display.note("no object masks (--masks DIR gives some): objects are not learnt")
 
 
 def _refuse(display: Display | None, message: str, code: int = USER_ERROR) -> int:

@@ -24,7 +24,9 @@ def test_exponential_is_the_matrix_exponential(rng: np.random.Generator) -> None
 
 def test_adjoint_moves_a_twist_through_a_motion(rng: np.random.Generator) -> None:
     T, xi = lie.se3_exp(rng.normal(size=6)), rng.normal(size=6)
-    np.testing.assert_allclose(lie.se3_exp(lie.adjoint(T) @ xi), T @ lie.se3_exp(xi) @ lie.inverse(T), atol=1e-12)
+    np.testing.assert_allclose(
+        lie.se3_exp(lie.adjoint(T) @ xi), T @ lie.se3_exp(xi) @ lie.inverse(T), atol=1e-12
+    )
 
 
 def test_half_turns_keep_their_axis() -> None:

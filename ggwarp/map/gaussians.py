@@ -94,7 +94,9 @@ class GaussianMap:
     def adam_state(self) -> AdamState:
         """The optimiser's moments and step counts, ``capacity`` rows each."""
         get = self.fields.get
-        return AdamState(get("first"), get("second"), get("steps"), get("first_identity"), get("second_identity"))
+        return AdamState(
+            get("first"), get("second"), get("steps"), get("first_identity"), get("second_identity")
+        )
 
     def append(self, batch: GaussianBatch) -> None:
         """Add ``batch`` at the end, growing the arrays where they are full."""
@@ -104,7 +106,7 @@ class GaussianMap:
         if end > self.capacity:
             self._reallocate(max(end, int(self.capacity * _GROWTH)))
         for name, array in self.fields.items():
-            rows = array[begin:end]
+            rows: Any = array[begin:end]
             if name in PARAMETERS:
                 values = getattr(batch, name)
                 if values is None:

@@ -15,8 +15,8 @@ from ggwarp.kernels.project import intrinsics_of, project
 from ggwarp.kernels.project_adjoint import project_adjoint
 from ggwarp.kernels.tiles import TILE, TileCapacityError, bin_splats
 from ggwarp.map.gaussians import PARAMETERS, GaussianMap
-from ggwarp.types import Camera, Float64
 from ggwarp.ops.workspace import allocate_slot_gradients, allocate_splats, allocate_tiles
+from ggwarp.types import Camera, Float32, Float64
 
 _SLOTS_PER_GAUSSIAN = 4
 _GROWTH = 1.5
@@ -99,7 +99,7 @@ class Renderer:
         matrix = lie.inverse(T_wc).astype(np.float32)
         return wp.array(matrix[None], dtype=wp.mat44, device=self._device)
 
-    def plane(self, array: wp.array) -> np.ndarray:
+    def plane(self, array: wp.array) -> Float32:
         """Return a copy of a plane or image, without its padding."""
         return array.numpy()[..., : self.camera.height, : self.camera.width].copy()
 

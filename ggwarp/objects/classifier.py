@@ -67,9 +67,7 @@ class Classifier:
         self._rng = np.random.default_rng((seed, 1))
         self.codes = np.zeros((0, IDENTITY_SIZE), np.float32)
         self._rate = wp.array([config.rate], dtype=float, device=self._device)
-        self._neighbourhood = Neighbourhood(
-            gaussians, samples=config.samples_3d, k=config.neighbours_3d + 1
-        )
+        self._neighbourhood = Neighbourhood(gaussians, samples=config.samples_3d, k=config.neighbours_3d + 1)
         self._image_workspace: Any = None
         self._allocate(config.classes)
         self.grow(1)
@@ -179,7 +177,7 @@ class Classifier:
             probabilities=probabilities,
             device=self._device,
         )
-        return labels.numpy()
+        return np.asarray(labels.numpy(), np.int32)
 
     def classify_map(self) -> tuple[NDArray[np.int32], Float32]:
         """Return [n] the likeliest class of each Gaussian and [n] its probability."""
@@ -195,7 +193,7 @@ class Classifier:
             probabilities=probabilities,
             device=self._device,
         )
-        return labels.numpy(), probabilities.numpy()
+        return np.asarray(labels.numpy(), np.int32), np.asarray(probabilities.numpy(), np.float32)
 
     def _allocate(self, capacity: int) -> None:
         def zeros(shape: Any, dtype: Any) -> wp.array:

@@ -27,7 +27,8 @@ class Neighbourhood:
         self._version = -1
         self._grid: Any = None
         device = gaussians.device
-        self._queries = wp.empty(samples, dtype=wp.vec3, device=device)
+        vec3: Any = wp.vec3
+        self._queries = wp.empty(samples, dtype=vec3, device=device)
         self._distances2 = wp.empty((samples, k), dtype=float, device=device)
         self.samples = wp.empty(samples, dtype=int, device=device)
         self.neighbours = wp.empty((samples, k), dtype=int, device=device)

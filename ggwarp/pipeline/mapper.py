@@ -13,6 +13,7 @@ from ggwarp.io.ply import PlyGaussians
 from ggwarp.kernels.adam import AdamRates, adam_gaussians
 from ggwarp.kernels.compact import flag_kept
 from ggwarp.kernels.loss import LOSS_COUNT, rgbd_loss
+from ggwarp.kernels.math import vec16
 from ggwarp.map.gaussians import GaussianMap
 from ggwarp.map.renderer import Renderer
 from ggwarp.map.workspaces import allocate_loss
@@ -20,6 +21,8 @@ from ggwarp.objects.classifier import Classifier, ClassifierConfig
 from ggwarp.objects.registry import NO_OBJECT, ClassTable
 from ggwarp.pipeline.seeding import SeedingConfig, seed_density, seed_gaussians
 from ggwarp.types import Camera, Float64, Frame, Rendered
+
+_RATES = AdamRates(means=5e-4, quats=5e-3, log_scales=1e-2, opacity=0.1, colours=5e-3, identities=2.5e-3)
 
 
 @dataclass(frozen=True)
@@ -36,9 +39,7 @@ class MapperConfig:
     """l_d of the loss (0.1 in the paper; more keeps surfaces sharp and costs no colour)."""
     depth_max: float = 10.0
     """Depth unit of eq. 7, metres."""
-    rates: AdamRates = AdamRates(
-        means=5e-4, quats=5e-3, log_scales=1e-2, opacity=0.1, colours=5e-3, identities=2.5e-3
-    )
+    rates: AdamRates = _RATES
     """Adam's learning rates: larger than GS-ICP-SLAM's, as each Gaussian gets tens of steps here, not
     thousands."""
     prune_interval: int = 200
@@ -87,7 +88,7 @@ class Mapper:
         self._renderer = Renderer(self.map, camera)
         self._workspace = allocate_loss(camera.height, camera.width, device=self._device)
         self._losses = wp.zeros(LOSS_COUNT, dtype=float, device=self._device)
-        self._rates = wp.array(config.rates.lanes(), dtype=self.map.fields["first"].dtype, device=self._device)
+        self._rates = wp.array(config.rates.lanes(), dtype=vec16, device=self._device)
         self._keyframes: list[Keyframe] = []
         self._newest_pending = False
         self._iterations = 0
@@ -144,7 +145,7 @@ class Mapper:
         r.forward(r.pose_array(T_wc))
         image = r.plane(r.image)
         identity = objects = None
-        opacity = 1.0 - r.plane(r.transmittance)
+        opacity = np.float32(1.0) - r.plane(r.transmittance)
         if self.classifier is not None:
             identity = np.ascontiguousarray(image[4:].transpose(1, 2, 0))
             classes = self.classifier.classify_image(r.image, self._camera.height, self._camera.width)

@@ -76,7 +76,8 @@ def choose_pixels(density: Float32, frame_index: int) -> tuple[NDArray[np.intp],
     # Roberts' R2 sequence over the pixel grid: evenly spread at every density, unlike noise.
     u, v = np.arange(w), np.arange(h)[:, None]
     dither = (u * 0.7548776662466927 + v * 0.5698402909980532 + frame_index * 0.6180339887498949) % 1.0
-    return np.nonzero(dither < density)
+    rows, cols = np.nonzero(dither < density)
+    return rows, cols
 
 
 def surface_normals(depth: Float32, camera: Camera) -> Float32:
