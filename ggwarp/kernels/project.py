@@ -31,6 +31,7 @@ wp.set_module_options({"enable_backward": False})
 TILE = wp.constant(16)
 NEAR = wp.constant(0.05)
 LOW_PASS = wp.constant(0.3)
+SLOPE_LOW_PASS = wp.constant(0.03)
 MAX_REACH = wp.constant(2.0 * math.log(255.0) * 1.01)
 SH_C0 = wp.constant(0.28209479177387814)
 
@@ -116,27 +117,32 @@ def exp_each(v: wp.vec3):
 
 
 @wp.func
-def conic_of(w0: wp.vec3, w1: wp.vec3):
-    """Inverse of W W^T + 0.3 I (a, b, c) for the rows of W, and that matrix's two variances."""
+def conic_of(w0: wp.vec3, w1: wp.vec3, low_pass: float):
+    """Inverse of W W^T + low_pass I (a, b, c) for the rows of W, and that matrix's two variances."""
     p = wp.dot(w0, w0)
     q = wp.dot(w1, w1)
     # Lagrange's identity: p q - (w0 . w1)^2 without the cancellation of thin ellipses.
     n = wp.cross(w0, w1)
-    inverse_det = 1.0 / (wp.dot(n, n) + LOW_PASS * (p + q) + LOW_PASS * LOW_PASS)
-    xx = p + LOW_PASS
-    yy = q + LOW_PASS
+    inverse_det = 1.0 / (wp.dot(n, n) + low_pass * (p + q) + low_pass * low_pass)
+    xx = p + low_pass
+    yy = q + low_pass
     return wp.vec3(yy * inverse_det, -wp.dot(w0, w1) * inverse_det, xx * inverse_det), xx, yy
 
 
 @wp.func
 def depth_slope(w0: wp.vec3, w1: wp.vec3, wz: wp.vec3):
-    """Slope of E[z | u, v] for the rows of W and the row of z: conic times (w0 . wz, w1 . wz)."""
+    """Slope of E[z | u, v] for the rows of W and the row of z: conic times (w0 . wz, w1 . wz).
+
+    Its low-pass only bounds the slope of splats seen edge on: that of the picture would flatten splats
+    of a pixel's size, whose neighbours continue the surface.
+    """
     # Determinant and products as in conic_of: thin ellipses would cancel.
     n = wp.cross(w0, w1)
-    inverse_det = 1.0 / (wp.dot(n, n) + LOW_PASS * (wp.dot(w0, w0) + wp.dot(w1, w1)) + LOW_PASS * LOW_PASS)
-    return inverse_det * wp.vec2(
-        wp.dot(n, wp.cross(wz, w1)) + LOW_PASS * wp.dot(w0, wz),
-        wp.dot(n, wp.cross(w0, wz)) + LOW_PASS * wp.dot(w1, wz),
+    low_pass = SLOPE_LOW_PASS
+    det = wp.dot(n, n) + low_pass * (wp.dot(w0, w0) + wp.dot(w1, w1)) + low_pass * low_pass
+    return (1.0 / det) * wp.vec2(
+        wp.dot(n, wp.cross(wz, w1)) + low_pass * wp.dot(w0, wz),
+        wp.dot(n, wp.cross(w0, wz)) + low_pass * wp.dot(w1, wz),
     )
 
 
@@ -202,7 +208,7 @@ def _project(
     m = wp.transpose(scaled_columns(rotation, exp_each(log_scales[i])))
     w0 = m * row_x
     w1 = m * row_y
-    conic, xx, yy = conic_of(w0, w1)
+    conic, xx, yy = conic_of(w0, w1, LOW_PASS)
     slope = depth_slope(w0, w1, wp.vec3(m[0, 2], m[1, 2], m[2, 2]))
     # alpha >= 1/255 <=> the squared Mahalanobis distance is at most 2 ln(255 opacity).
     reach = 2.0 * wp.log(255.0 * opacity)

@@ -21,7 +21,9 @@ from ggwarp.kernels.math import (
     vec16,
 )
 from ggwarp.kernels.project import (
+    LOW_PASS,
     SH_C0,
+    SLOPE_LOW_PASS,
     CameraIntrinsics,
     conic_of,
     depth_slope,
@@ -148,12 +150,13 @@ def _project_adjoint(
     w1 = wp.transpose(m) * j1
     jz = wp.vec3(0.0, 0.0, 1.0)
     wz = m[2]
-    conic, _xx, _yy = conic_of(w0, w1)
+    conic, _xx, _yy = conic_of(w0, w1, LOW_PASS)
+    sharp, _xx, _yy = conic_of(w0, w1, SLOPE_LOW_PASS)
 
-    # d covariance = -g, g = Q G Q for the conic Q and its symmetric gradient G; the slope Q k with
-    # k = (w0 . wz, w1 . wz) adds the symmetric part of (Q d_slope) slope^T.
+    # d covariance = -g, g = Q G Q for the conic Q and its symmetric gradient G; the slope S k with its
+    # own conic S and k = (w0 . wz, w1 . wz) adds the symmetric part of (S d_slope) slope^T.
     conic2 = wp.mat22(conic[0], conic[1], conic[1], conic[2])
-    d_k = conic2 * d_slope
+    d_k = wp.mat22(sharp[0], sharp[1], sharp[1], sharp[2]) * d_slope
     slope_term = wp.outer(d_k, depth_slope(w0, w1, wz))
     g = conic2 * wp.mat22(d_conic[0], 0.5 * d_conic[1], 0.5 * d_conic[1], d_conic[2]) * conic2
     g += 0.5 * (slope_term + wp.transpose(slope_term))

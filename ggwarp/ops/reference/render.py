@@ -16,6 +16,7 @@ from ggwarp.types import Camera
 SH_C0 = 0.28209479177387814
 NEAR = 0.05
 LOW_PASS = 0.3
+SLOPE_LOW_PASS = 0.03
 ALPHA_MIN = 1.0 / 255.0
 ALPHA_MAX = 0.99
 TRANSMITTANCE_MIN = 1e-4
@@ -93,9 +94,10 @@ def project(
     ).reshape(-1, 2, 3)
     M = T_cw[:3, :3] @ quat_to_matrix(quats) * log_scales.exp()[:, None, :]
     W = jacobians @ M
-    covariances = W @ W.mT + LOW_PASS * torch.eye(2, dtype=means.dtype, device=means.device)
+    unit = torch.eye(2, dtype=means.dtype, device=means.device)
+    covariances = W @ W.mT + LOW_PASS * unit
     inverses = torch.linalg.inv(covariances)
-    slopes = (inverses @ W @ M[:, 2, :, None])[..., 0]
+    slopes = torch.linalg.solve(W @ W.mT + SLOPE_LOW_PASS * unit, W @ M[:, 2, :, None])[..., 0]
     opacities = torch.sigmoid(opacity_logits)
     conics = torch.stack([inverses[:, 0, 0], inverses[:, 0, 1], inverses[:, 1, 1], opacities], -1)
     colour = (0.5 + SH_C0 * colours).clamp(min=0.0)
