@@ -22,7 +22,7 @@ from ggwarp.objects.registry import NO_OBJECT, ClassTable
 from ggwarp.pipeline.seeding import SeedingConfig, seed_density, seed_gaussians
 from ggwarp.types import Camera, Float64, Frame, Rendered
 
-_RATES = AdamRates(means=5e-4, quats=5e-3, log_scales=1e-2, opacity=0.1, colours=5e-3, identities=2.5e-3)
+_RATES = AdamRates(means=2e-4, quats=5e-3, log_scales=1e-2, opacity=0.1, colours=5e-3, identities=2.5e-3)
 
 
 @dataclass(frozen=True)
@@ -35,8 +35,8 @@ class MapperConfig:
     """l_rgb of the loss (GG-SLAM eq. 5)."""
     dssim: float = 0.2
     """Share of 1 - SSIM in the colour loss (eq. 6)."""
-    depth_weight: float = 0.5
-    """l_d of the loss (0.1 in the paper; more keeps surfaces sharp and costs no colour)."""
+    depth_weight: float = 2.0
+    """l_d of the loss; the paper's 0.1 leaves surfaces free to drift along the view for colour's sake."""
     depth_max: float = 10.0
     """Depth unit of eq. 7, metres."""
     rates: AdamRates = _RATES

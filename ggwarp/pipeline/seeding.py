@@ -23,9 +23,9 @@ from ggwarp.types import Camera, Float32, Float64, Frame, Rendered
 class SeedingConfig:
     """How densely Gaussians are laid, and what they start as."""
 
-    min_density: float = 0.15
+    min_density: float = 0.3
     """Gaussians a pixel on new, untextured surface."""
-    max_density: float = 0.6
+    max_density: float = 0.7
     """Gaussians a pixel on new, finely textured surface."""
     detail_gain: float = 6.0
     """Density added per unit of local colour contrast (0..1)."""
@@ -39,7 +39,7 @@ class SeedingConfig:
     """Standard deviation along the surface normal, relative to the tangential one."""
     max_stretch: float = 3.0
     """A Gaussian on a grazing surface is stretched by 1/cos, at most so much."""
-    opacity: float = 0.5
+    opacity: float = 0.7
     """Initial opacity."""
     depth_tolerance: float = 0.03
     """New surface: closer than the rendered depth by more than this share of it."""

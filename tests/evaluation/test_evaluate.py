@@ -75,9 +75,9 @@ def test_lpips_is_used_when_given():
 
 
 def test_surface_depth():
-    """Median where the map is opaque, else the expected depth of what there is, else nothing."""
+    """The expected depth of what there is, or nothing."""
     plane = np.array([[1.8, 0.3, 0.0]], np.float32)
-    median = np.array([[2.0, 0.0, 0.0]], np.float32)
+    median = np.array([[2.1, 0.0, 0.0]], np.float32)
     opacity = np.array([[0.9, 0.1, 0.0]], np.float32)
     view = Rendered(np.zeros((1, 3, 3), np.float32), plane, median, opacity)
     np.testing.assert_allclose(view.surface_depth, [[2.0, 3.0, 0.0]], rtol=1e-6)
