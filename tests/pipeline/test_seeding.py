@@ -107,7 +107,7 @@ def test_detail_draws_more_gaussians() -> None:
     depth = np.full((48, 64), 2.0, np.float32)
     rgb = np.full((48, 64, 3), 128, np.uint8)
     rgb[:, 32:] = 255 * (np.indices((48, 32)).sum(axis=0) // 2 % 2)[..., None]
-    density = seed_density(frame(depth, rgb), None, CONFIG)
+    density = seed_density(frame(depth, rgb), None, SeedingConfig(min_density=0.1, max_density=0.6))
     assert density[:, 40:].mean() > 3.0 * density[:, :24].mean()
 
 
