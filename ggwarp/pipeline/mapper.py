@@ -35,7 +35,7 @@ class MapperConfig:
     """l_rgb of the loss (GG-SLAM eq. 5)."""
     dssim: float = 0.2
     """Share of 1 - SSIM in the colour loss (eq. 6)."""
-    depth_weight: float = 2.0
+    depth_weight: float = 4.0
     """l_d of the loss; the paper's 0.1 leaves surfaces free to drift along the view for colour's sake."""
     depth_max: float = 10.0
     """Depth unit of eq. 7, metres."""
