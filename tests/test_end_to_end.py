@@ -9,11 +9,16 @@ import subprocess
 import sys
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from ggwarp import run
+from ggwarp.datasets.synthetic import SyntheticOffice
 from ggwarp.io.ply import read_ply
+from ggwarp.io.trajectory import read_tum
+from ggwarp.map.gaussians import GaussianBatch, GaussianMap
+from ggwarp.map.renderer import Renderer
 
 SMALL = ["--seq", "office", "--scale", "0.1", "--device", "cpu"]
 
@@ -40,6 +45,21 @@ def test_the_map_knows_its_objects(first):
     assert gaussians.object_ids is not None and len(objects) > 2
     for entry in objects:
         assert entry["count"] == np.count_nonzero(gaussians.object_ids == entry["id"])
+
+
+def test_the_file_alone_renders_the_same_picture(first):
+    rows = read_ply(first / "map.ply")
+    gaussians = GaussianMap(device="cpu", has_identity=False)
+    gaussians.append(
+        GaussianBatch(rows.means, rows.quats, rows.log_scales, rows.opacity_logits, rows.colours)
+    )
+    renderer = Renderer(gaussians, SyntheticOffice(scale=0.1).camera)
+    _, poses = read_tum(first / "trajectory.txt")
+    for index in (0, 3):
+        renderer.forward(renderer.pose_array(poses[index]))
+        again = np.clip(renderer.plane(renderer.image)[:3].transpose(1, 2, 0), 0.0, 1.0)
+        saved = cv2.imread(str(first / f"renders/frame{index:06d}_rgb.png"))[..., ::-1] / 255.0
+        assert -10.0 * np.log10(np.mean((again - saved) ** 2)) > 40.0
 
 
 def test_a_second_run_is_the_same_to_the_bit(first):
