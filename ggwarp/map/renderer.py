@@ -119,9 +119,14 @@ class Renderer:
                 self._allocate_tiles(int(error.needed * _GROWTH))
 
     def _reserve(self) -> None:
-        """Make room for the map's capacity."""
+        """Make room for the map's capacity and, on CUDA, for the pairs of the last render."""
         capacity = self._map.capacity
         if capacity == self._capacity:
+            if not self._device.is_cpu:
+                # The device leaves out the farthest splats and says so; read one render late.
+                _, pairs, overflow = self.tiles.counts.numpy().tolist()
+                if overflow:
+                    self._allocate_tiles(int(pairs * _GROWTH))
             return
         self._capacity = capacity
         self._splats = allocate_splats(capacity, self._channels, device=self._device)
