@@ -69,7 +69,8 @@ class FakeSlam:
         plane = np.full(shape, 2.0, np.float32)
         ids = np.full(shape, 4, np.int32)
         identity = np.zeros((*shape, 16), np.float32)
-        return Rendered(np.full((*shape, 3), 0.5, np.float32), plane, plane, plane, identity, ids)
+        grey, opaque = np.full((*shape, 3), 0.5, np.float32), np.ones(shape, np.float32)
+        return Rendered(grey, plane, plane, opaque, identity, ids)
 
     def map_arrays(self):
         ids = np.array([0, 0, 0, 4, 4, 4, 4], np.int32)
