@@ -14,6 +14,7 @@ from ggwarp.kernels.adam import adam_classifier
 from ggwarp.kernels.classify import classify_gaussians, classify_pixels
 from ggwarp.kernels.identity import cross_entropy
 from ggwarp.kernels.identity_kl import neighbour_divergence
+from ggwarp.kernels.loss import OBJECT
 from ggwarp.kernels.math import vec16
 from ggwarp.map.gaussians import SH_C0, GaussianMap
 from ggwarp.map.renderer import Renderer
@@ -102,6 +103,7 @@ class Classifier:
             renderer.d_image[4:].zero_()
             self._d_weights.zero_()
             self._d_biases.zero_()
+            losses[OBJECT : OBJECT + 1].zero_()
             return
         if self._image_workspace is None:
             _, height, width = renderer.image.shape

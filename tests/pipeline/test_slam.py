@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+import dataclasses
+
+import numpy as np
+import pytest
+
+from ggwarp import lie
+from ggwarp.datasets.synthetic import SyntheticOffice
+from ggwarp.pipeline.mapper import MapperConfig
+from ggwarp.pipeline.slam import Slam, SlamConfig
+from ggwarp.types import Frame, Verdict
+
+OFFICE = SyntheticOffice(scale=0.15)
+CONFIG = SlamConfig(mapper=MapperConfig(iterations=3))
+
+
+@pytest.fixture(scope="module")
+def frames() -> list[Frame]:
+    return [OFFICE[i] for i in range(5)]
+
+
+def made(device: str) -> Slam:
+    return Slam(CONFIG, OFFICE.camera, OFFICE.camera, device=device)
+
+
+def error_cm(T: np.ndarray, truth: np.ndarray | None) -> float:
+    assert truth is not None
+    return 100.0 * float(np.linalg.norm(T[:3, 3] - truth[:3, 3]))
+
+
+def test_a_lost_frame_never_enters_the_map_and_the_next_one_is_found(
+    device: str, frames: list[Frame], rng: np.random.Generator
+) -> None:
+    slam = made(device)
+    for frame in frames[:3]:
+        slam.step(frame)
+    before, keyframes = slam.map.count, slam.keyframe_indices
+    assert frames[3].depth is not None
+    noise = rng.uniform(0.3, 6.0, frames[3].depth.shape).astype(np.float32)
+
+    lost = slam.step(dataclasses.replace(frames[3], depth=noise))
+    found = slam.step(frames[4])
+
+    assert lost.verdict is Verdict.LOST and lost.reason and lost.keyframe == ""
+    assert lost.gaussians == before and slam.keyframe_indices[: len(keyframes)] == keyframes
+    assert 3 not in slam.keyframe_indices
+    assert slam.counts["frames_lost"] == 1
+    assert found.verdict is not Verdict.LOST and error_cm(found.T_wc, frames[4].T_wc) < 1.0
+
+
+def test_only_the_first_true_pose_is_used(device: str, frames: list[Frame]) -> None:
+    slam, blind = made(device), made(device)
+    for frame in frames:
+        slam.step(frame)
+        blind.step(frame if frame.index == 0 else dataclasses.replace(frame, T_wc=lie.se3_exp([9] * 6)))
+    for a, b in zip(slam.reports, blind.reports, strict=True):
+        assert (a.T_wc == b.T_wc).all() and a.gaussians == b.gaussians
+
+
+def test_without_truth_the_first_camera_is_the_world(device: str, frames: list[Frame]) -> None:
+    slam = made(device)
+    for frame in frames[:2]:
+        slam.step(dataclasses.replace(frame, T_wc=None))
+    assert (slam.reports[0].T_wc == np.eye(4)).all()
+    assert frames[0].T_wc is not None and frames[1].T_wc is not None
+    assert error_cm(slam.reports[1].T_wc, lie.inverse(frames[0].T_wc) @ frames[1].T_wc) < 1.0
+
+
+def test_a_blind_start_waits_for_depth(device: str, frames: list[Frame]) -> None:
+    slam = made(device)
+    assert frames[0].depth is not None
+    first = slam.step(dataclasses.replace(frames[0], depth=np.zeros_like(frames[0].depth)))
+    second = slam.step(frames[1])
+    assert first.verdict is Verdict.LOST and first.gaussians == 0
+    assert second.keyframe == "tracking" and second.gaussians > 0
