@@ -90,6 +90,11 @@ def track_and_map(
             break
     record.loop_s = time.perf_counter() - started
     record.counts = dict(slam.counts)
+    late = [r.late_ms for r in record.reports if r.late_ms > 0.0]
+    if late:
+        display.warn(
+            f"{len(late)} of {len(record.reports)} frames were taken up late, by up to {max(late):.0f} ms"
+        )
     return kept
 
 

@@ -189,6 +189,7 @@ class StepReport:
         mapping_iterations: iterations spent during this frame.
         gaussians: Gaussians in the map afterwards.
         loss: mean mapping loss over this frame's iterations; nan when there was none.
+        late_ms: how long after its arrival the frame was taken up, milliseconds (live mode).
     """
 
     index: int
@@ -204,3 +205,4 @@ class StepReport:
     mapping_iterations: int
     gaussians: int
     loss: float
+    late_ms: float = 0.0

@@ -74,6 +74,9 @@ def test_other_ways_to_run(options, tmp_path):
     assert run.main([*SMALL, "--frames", "0:3", "--out", str(tmp_path), *options]) == 0
     metrics = json.loads((tmp_path / "metrics.json").read_text())
     assert metrics["frames"] == 3 and metrics["ate_rmse_cm"] < 1.0
+    assert (metrics["frames_late"] > 0) == (metrics["late_ms_max"] > 0.0)
+    if "--fps" not in options:
+        assert metrics["frames_late"] == 0
     if "gs-icp" in options:
         assert metrics["miou"] is None
         assert read_ply(tmp_path / "map.ply").object_ids is None

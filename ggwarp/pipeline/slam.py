@@ -72,7 +72,7 @@ class Slam:
 
     def step(self, frame: Frame) -> StepReport:
         """Process the next frame: pose first, then the map."""
-        self._scheduler.begin_frame()
+        late = self._scheduler.begin_frame()
         started = time.perf_counter()
         result = self._track(frame)
         tracked = time.perf_counter()
@@ -82,7 +82,7 @@ class Slam:
         if kind is KeyframeKind.TRACKING:
             self._trackable.add(result)
         losses = self._refine()
-        return self._report(frame, result, kind, losses, (started, tracked, time.perf_counter()))
+        return self._report(frame, result, kind, losses, (late, started, tracked, time.perf_counter()))
 
     def render(self, T_wc: Float64) -> Rendered:
         """Return the map's view from ``T_wc`` [4, 4] at the run's image size."""
@@ -113,12 +113,12 @@ class Slam:
         result: TrackResult,
         kind: KeyframeKind,
         losses: list[float],
-        times: tuple[float, float, float],
+        times: tuple[float, float, float, float],
     ) -> StepReport:
         self.counts["frames_lost"] += result.verdict is Verdict.LOST
         if kind is not KeyframeKind.NONE:
             self.counts[f"{kind.value}_keyframes"] += 1
-        started, tracked, mapped = times
+        late, started, tracked, mapped = times
         report = StepReport(
             index=frame.index,
             timestamp=frame.timestamp,
@@ -133,6 +133,7 @@ class Slam:
             mapping_iterations=len(losses),
             gaussians=self.map.count,
             loss=float(np.mean(losses)) if losses else float("nan"),
+            late_ms=1e3 * late,
         )
         self.reports.append(report)
         return report
