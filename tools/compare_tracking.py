@@ -23,7 +23,7 @@ import small_gicp
 from ggwarp import lie
 from ggwarp.datasets import open_dataset
 from ggwarp.evaluation.trajectory import absolute_error
-from ggwarp.kernels import launch
+from ggwarp.kernels import launch, loading
 from ggwarp.pipeline.keyframes import KeyframeConfig, KeyframeKind, OverlapKeyframes
 from ggwarp.pipeline.observation import observe
 from ggwarp.pipeline.trackable import TrackableConfig, TrackableMap
@@ -156,6 +156,7 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=Path("data"), help="data root")
     parser.add_argument("--threads", type=int, default=launch.cpu_threads(), help="threads of each")
     options = parser.parse_args()
+    loading.init_quietly()
     launch.set_cpu_threads(options.threads)
     config = TrackerConfig()
     print(f"{'sequence':28} {'tracker':22} {'ATE cm':>8} {'ms':>7} {'lost':>5}")
