@@ -152,7 +152,8 @@ def execute(config: RunConfig, display: Display, interruption: Interruption, sta
     scheduler: Scheduler | None = None if config.fps is None else LiveScheduler(config.fps)
     slam = Slam(system, reader.camera, reader.sensor_camera, device=device, scheduler=scheduler)
     load_kernels(device, display)
-    record = report.RunRecord(name, dataset.kind, device)
+    names = getattr(dataset, "class_names", {})
+    record = report.RunRecord(name, dataset.kind, device, class_names=names)
     with reader:
         kept = track_and_map(slam, reader, record, display, interruption)
     if not record.reports:

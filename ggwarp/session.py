@@ -155,7 +155,7 @@ def save(slam: Slam, record: report.RunRecord, folder: Path, started: float) -> 
     """Write the run folder and return what ``metrics.json`` holds."""
     arrays = slam.map_arrays()
     report.write_trajectories(folder, record)
-    report.write_map(folder, arrays)
+    report.write_map(folder, arrays, record.class_names)
     report.write_frames(folder, record)
     metrics = report.metrics_of(record, wall_s=time.perf_counter() - started, gaussians=len(arrays))
     report.write_metrics(folder, metrics)

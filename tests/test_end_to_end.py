@@ -43,6 +43,7 @@ def test_the_map_knows_its_objects(first):
     objects = json.loads((first / "objects.json").read_text())["objects"]
     assert len(gaussians) == json.loads((first / "metrics.json").read_text())["gaussians"]
     assert gaussians.object_ids is not None and len(objects) > 2
+    assert all(entry["class"] for entry in objects) and "floor" in {entry["class"] for entry in objects}
     for entry in objects:
         assert entry["count"] == np.count_nonzero(gaussians.object_ids == entry["id"])
 

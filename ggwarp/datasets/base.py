@@ -29,6 +29,8 @@ class Dataset(Protocol):
         camera: the camera of every frame, at its native size.
         has_depth: whether frames carry depth.
         has_masks: whether frames carry object masks (single ones may still be missing).
+
+    A data set that knows what its objects are has ``class_names``, too: mask id -> name.
     """
 
     name: str

@@ -74,6 +74,7 @@ class RunRecord:
         truth: index -> [4, 4] true camera-to-world pose, where known.
         skipped: index -> why the frame could not be used.
         counts: tracking_keyframes, mapping_keyframes, frames_lost.
+        class_names: mask id -> what the object is, where the data says.
         loop_s: seconds from the first frame's arrival to the last one's end.
         evaluation: pictures and objects against the frames; empty when not done.
     """
@@ -85,6 +86,7 @@ class RunRecord:
     truth: dict[int, Float64] = field(default_factory=dict)
     skipped: dict[int, str] = field(default_factory=dict)
     counts: dict[str, int] = field(default_factory=dict)
+    class_names: dict[int, str] = field(default_factory=dict)
     loop_s: float = 0.0
     evaluation: Evaluation = field(default_factory=Evaluation)
 
@@ -131,10 +133,10 @@ def write_trajectories(folder: Path, record: RunRecord) -> None:
         write_tum(folder / "trajectory_gt.txt", [r.timestamp for r in known], poses)
 
 
-def write_map(folder: Path, gaussians: PlyGaussians) -> None:
-    """Write ``map.ply`` and ``objects.json``."""
+def write_map(folder: Path, gaussians: PlyGaussians, names: dict[int, str]) -> None:
+    """Write ``map.ply`` and ``objects.json``; ``names`` are the objects' by id, where known."""
     write_ply(folder / "map.ply", **vars(gaussians))
-    objects = inventory(gaussians.means, gaussians.colours, gaussians.object_ids)
+    objects = inventory(gaussians.means, gaussians.colours, gaussians.object_ids, names=names)
     _write_json(folder / "objects.json", {"objects": objects})
 
 

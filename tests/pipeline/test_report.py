@@ -120,10 +120,10 @@ def test_map_and_objects(rng, tmp_path):
         colours=np.zeros((n, 3), np.float32),
         object_ids=np.repeat([0, 5], n // 2).astype(np.int32),
     )
-    report.write_map(tmp_path, gaussians)
+    report.write_map(tmp_path, gaussians, {5: "chair"})
     np.testing.assert_array_equal(read_ply(tmp_path / "map.ply").means, gaussians.means)
     objects = json.loads((tmp_path / "objects.json").read_text())["objects"]
-    assert [(o["id"], o["count"]) for o in objects] == [(5, 25)]
+    assert [(o["id"], o["count"], o["class"]) for o in objects] == [(5, 25, "chair")]
 
 
 def test_run_folders(tmp_path, monkeypatch):
