@@ -3,37 +3,61 @@
 
 A Warp CPU launch runs on one core and releases the interpreter lock. Kernels that are worth
 splitting take ``offset: int`` as their first parameter and work on ``offset + wp.tid()``;
-:func:`launch_split` then runs pieces of the range on a small thread pool. Pieces must not
-share outputs.
+:func:`launch_split` then cuts the range into pieces that threads take from one queue: a thread on a
+busy core takes fewer, and none is waited for before it has begun. Pieces must not share outputs.
 """
 
 from __future__ import annotations
 
 import os
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from functools import lru_cache
 from typing import Any
 
 import warp as wp
 
 _MIN_PIECE = 64
-_pool: ThreadPoolExecutor | None = None
+_SMALLEST_SHARE = 16
+"""The smallest pieces are this fraction of a thread's fair share."""
+
 _threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
+_caller = threading.local()
+_pool: tuple[int, ThreadPoolExecutor] | None = None
+_pool_lock = threading.Lock()
 
 
 def cpu_threads() -> int:
-    """Return how many threads a split CPU launch uses (default: the cores this process may use)."""
-    return _threads
+    """Return how many threads a split CPU launch of the calling thread uses.
+
+    The default is the number of cores this process may use; :func:`cpu_thread_limit` lowers it.
+    """
+    return min(_threads, getattr(_caller, "limit", _threads))
 
 
 def set_cpu_threads(count: int) -> None:
     """Set how many threads a split CPU launch uses; results do not depend on it."""
-    global _pool, _threads
-    if count < 1:
-        raise ValueError(f"cpu threads: {count}, but at least 1 is needed")
-    if _pool is not None:
-        _pool.shutdown()
-        _pool = None
+    global _threads
+    _check(count)
     _threads = count
+
+
+@contextmanager
+def cpu_thread_limit(count: int) -> Iterator[None]:
+    """Let the calling thread's split launches use at most ``count`` threads, itself included."""
+    _check(count)
+    before = getattr(_caller, "limit", None)
+    _caller.limit = count
+    try:
+        yield
+    finally:
+        if before is None:
+            del _caller.limit
+        else:
+            _caller.limit = before
 
 
 def launch_split(
@@ -47,34 +71,85 @@ def launch_split(
 ) -> None:
     """Launch ``kernel`` over ``range(count)``, split over threads on the CPU.
 
+    Several threads may do so at once. While a graph is being recorded the launch is not split.
+
     Args:
         kernel: its first parameter is ``offset: int``, added to ``wp.tid()``.
         count: items in all.
         inputs: arguments after ``offset``.
         outputs: arguments after those; each item writes its own part of them.
         device: a Warp device.
-        min_piece: do not split below this many items a thread.
+        min_piece: do not make pieces of fewer items than this.
     """
-    global _pool
     if count <= 0:
         return
     device = wp.get_device(device)
-    pieces = min(_threads, count // max(min_piece, 1)) if device.is_cpu else 1
-    if pieces <= 1:
+    threads = min(cpu_threads(), count // max(min_piece, 1)) if device.is_cpu else 1
+    if threads <= 1 or device.is_capturing:
         wp.launch(kernel, dim=count, inputs=[0, *inputs], outputs=outputs, device=device)
         return
-    if _pool is None:
-        _pool = ThreadPoolExecutor(_threads, thread_name_prefix="ggwarp-launch")
     # Load the module here: two threads must not compile it at once. CPU launches run with blocks of one;
     # loading for another block size would compile the module a second time.
     kernel.module.load(device, block_dim=1)
-    bounds = [count * i // pieces for i in range(pieces + 1)]
+    pieces = deque(_cut(count, threads, min_piece))
 
-    def run(piece: int) -> None:
-        begin, end = bounds[piece], bounds[piece + 1]
-        wp.launch(kernel, dim=end - begin, inputs=[begin, *inputs], outputs=outputs, device=device)
+    def work() -> None:
+        command: Any = None
+        while pieces:
+            try:
+                begin, size = pieces.popleft()
+            except IndexError:  # another thread was faster
+                return
+            if command is None:
+                arguments = [begin, *inputs]
+                command = wp.launch(
+                    kernel, dim=size, inputs=arguments, outputs=outputs, device=device, record_cmd=True
+                )
+            else:
+                command.set_param_at_index(0, begin)
+                command.set_dim(size)
+            command.launch()
 
-    futures = [_pool.submit(run, piece) for piece in range(1, pieces)]
-    run(0)
-    for future in futures:
-        future.result()
+    _run_on_threads(work, threads)
+
+
+def _run_on_threads(work: Callable[[], None], threads: int) -> None:
+    """Run ``work`` here and on helpers that have time, until all that began have returned."""
+    pool = _helpers(threads - 1)
+    futures = [pool.submit(work) for _ in range(threads - 1)]
+    try:
+        work()
+    finally:
+        # A helper that has not begun would find nothing left to do.
+        begun = [future for future in futures if not future.cancel()]
+        for future in begun:
+            future.result()
+
+
+def _helpers(count: int) -> ThreadPoolExecutor:
+    """Return a pool of at least ``count`` threads, shared by all callers; it never shrinks."""
+    global _pool
+    with _pool_lock:
+        if _pool is None or _pool[0] < count:
+            _pool = count, ThreadPoolExecutor(count, thread_name_prefix="ggwarp-launch")
+        return _pool[1]
+
+
+@lru_cache(maxsize=256)
+def _cut(count: int, threads: int, min_piece: int) -> tuple[tuple[int, int], ...]:
+    """Return (begin, size) of the pieces of ``range(count)``: large ones first, so that few are enough."""
+    smallest = max(min_piece, count // (_SMALLEST_SHARE * threads))
+    pieces, begin = [], 0
+    while begin < count:
+        left = count - begin
+        size = max(smallest, left // (2 * threads))
+        if left - size < smallest:
+            size = left
+        pieces.append((begin, size))
+        begin += size
+    return tuple(pieces)
+
+
+def _check(count: int) -> None:
+    if count < 1:
+        raise ValueError(f"cpu threads: {count}, but at least 1 is needed")
