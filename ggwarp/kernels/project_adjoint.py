@@ -129,14 +129,15 @@ def _project_adjoint(
         for slot in range(begin, end):
             d_o += slot_identities[slot]
         d_identities[i] = d_o
-    colour = colours[i]
-    d_colours[i] = wp.vec3(
-        _colour_gradient(colour[0], d_head[0]),
-        _colour_gradient(colour[1], d_head[1]),
-        _colour_gradient(colour[2], d_head[2]),
-    )
-    opacity = 1.0 / (1.0 + wp.exp(-opacity_logits[i]))
-    d_opacity_logits[i] = d_conic[3] * opacity * (1.0 - opacity)
+    if d_means:
+        colour = colours[i]
+        d_colours[i] = wp.vec3(
+            _colour_gradient(colour[0], d_head[0]),
+            _colour_gradient(colour[1], d_head[1]),
+            _colour_gradient(colour[2], d_head[2]),
+        )
+        opacity = 1.0 / (1.0 + wp.exp(-opacity_logits[i]))
+        d_opacity_logits[i] = d_conic[3] * opacity * (1.0 - opacity)
 
     # Forward again: cheaper than storing it.
     p = transform_point(T_cw[0], means[i])
@@ -166,13 +167,14 @@ def _project_adjoint(
     d_m = wp.outer(j0, d_w0) + wp.outer(j1, d_w1) + wp.outer(jz, d_wz)
     d_j0 = m * d_w0
     d_j1 = m * d_w1
-    d_log_scales[i] = wp.vec3(
-        wp.dot(wp.transpose(m)[0], wp.transpose(d_m)[0]),
-        wp.dot(wp.transpose(m)[1], wp.transpose(d_m)[1]),
-        wp.dot(wp.transpose(m)[2], wp.transpose(d_m)[2]),
-    )
-    d_q = quat_to_matrix_adjoint(q, wp.transpose(R_cw) * scaled_columns(d_m, s))
-    d_quats[i] = (d_q - q * wp.dot(q, d_q)) / wp.length(quats[i])
+    if d_means:
+        d_log_scales[i] = wp.vec3(
+            wp.dot(wp.transpose(m)[0], wp.transpose(d_m)[0]),
+            wp.dot(wp.transpose(m)[1], wp.transpose(d_m)[1]),
+            wp.dot(wp.transpose(m)[2], wp.transpose(d_m)[2]),
+        )
+        d_q = quat_to_matrix_adjoint(q, wp.transpose(R_cw) * scaled_columns(d_m, s))
+        d_quats[i] = (d_q - q * wp.dot(q, d_q)) / wp.length(quats[i])
 
     z = p[2]
     d_x, d_zx = _slope_gradient(p[0], z, d_j0[2], camera.fx, camera.cx, camera.width)
@@ -182,7 +184,8 @@ def _project_adjoint(
     d_z = d_head[3] + d_zx + d_zy
     d_z -= (camera.fx * (p[0] * d_uv[0] + d_j0[0]) + camera.fy * (p[1] * d_uv[1] + d_j1[1])) / (z * z)
     d_p = wp.vec3(d_x, d_y, d_z)
-    d_means[i] = wp.transpose(R_cw) * d_p
+    if d_means:
+        d_means[i] = wp.transpose(R_cw) * d_p
     if d_poses:
         # T_cw <- Exp(v, w) T_cw moves p by v + w x p and turns the columns of m by w.
         d_w = wp.cross(p, d_p) + wp.cross(d_j0, j0) + wp.cross(d_j1, j1) + wp.cross(m * d_wz, jz)
@@ -218,11 +221,11 @@ def project_adjoint(
     count: int,
     tiles: TileArrays,
     slots: SlotGradients,
-    d_means: wp.array,
-    d_quats: wp.array,
-    d_log_scales: wp.array,
-    d_opacity_logits: wp.array,
-    d_colours: wp.array,
+    d_means: wp.array | None = None,
+    d_quats: wp.array | None = None,
+    d_log_scales: wp.array | None = None,
+    d_opacity_logits: wp.array | None = None,
+    d_colours: wp.array | None = None,
     d_identities: wp.array | None = None,
     d_pose_scratch: tuple[wp.array, ...] = (),
 ) -> None:
@@ -235,7 +238,8 @@ def project_adjoint(
             :func:`ggwarp.kernels.project.project`.
         tiles: the binning that the composite used.
         slots: gradients per slot.
-        d_means, d_quats, d_log_scales, d_opacity_logits, d_colours: outputs, like the parameters.
+        d_means, d_quats, d_log_scales, d_opacity_logits, d_colours: outputs, like the parameters; all
+            None: only the camera's gradient is wanted.
         d_identities: output [>= count] vec16; None skips it.
         d_pose_scratch: vec6 arrays of :func:`pose_levels` lengths; the last, of one row, receives
             the gradient (translation, rotation) of T_cw <- Exp(tau) T_cw. Empty: no pose gradient.

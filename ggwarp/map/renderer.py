@@ -11,8 +11,9 @@ import warp as wp
 from ggwarp import lie
 from ggwarp.kernels.adam import GaussianArrays
 from ggwarp.kernels.composite import composite, composite_adjoint
+from ggwarp.kernels.math import vec6
 from ggwarp.kernels.project import intrinsics_of, project
-from ggwarp.kernels.project_adjoint import project_adjoint
+from ggwarp.kernels.project_adjoint import pose_levels, project_adjoint
 from ggwarp.kernels.tiles import TILE, TileCapacityError, bin_splats
 from ggwarp.map.gaussians import PARAMETERS, GaussianMap
 from ggwarp.ops.workspace import allocate_slot_gradients, allocate_splats, allocate_tiles
@@ -35,15 +36,22 @@ class Renderer:
         transmittance, median_depth: [Hp, Wp] float.
         d_image, d_transmittance: gradients for :meth:`adjoint`; zeros at first.
         gradients: of the visible Gaussians' parameters, after :meth:`adjoint`.
+        d_pose: [1] vec6, gradient (translation, rotation) of T_cw <- Exp(tau) T_cw, after :meth:`adjoint`
+            with ``pose`` or :meth:`adjoint_pose`.
         tiles: the binning; ``tiles.ranks`` is -1 for Gaussians the view does not show.
     """
 
-    def __init__(self, gaussians: GaussianMap, camera: Camera) -> None:
+    def __init__(self, gaussians: GaussianMap, camera: Camera, *, identity: bool = True) -> None:
+        """Allocate for ``camera``.
+
+        Args:
+            identity: render identities, if the map has them; tracking can do without.
+        """
         self._map = gaussians
         self.camera = camera
         self._intrinsics = intrinsics_of(camera)
         self._device = gaussians.device
-        self._channels = 20 if gaussians.has_identity else 4
+        self._channels = 20 if gaussians.has_identity and identity else 4
         shape = (padded(camera.height), padded(camera.width))
 
         def zeros(*size: int) -> wp.array:
@@ -52,6 +60,9 @@ class Renderer:
         self.image, self.d_image = zeros(self._channels, *shape), zeros(self._channels, *shape)
         self.transmittance, self.d_transmittance = zeros(*shape), zeros(*shape)
         self.median_depth = zeros(*shape)
+        row: Any = vec6
+        self.d_pose = wp.zeros(1, dtype=row, device=self._device)
+        self._pose: tuple[wp.array, ...] = ()
         self._capacity = 0
         self._reserve()
 
@@ -60,7 +71,8 @@ class Renderer:
         self._reserve()
         m = self._map.parameters
         project(
-            m.means, m.quats, m.log_scales, m.opacity_logits, m.colours, m.identities,
+            m.means, m.quats, m.log_scales, m.opacity_logits, m.colours,
+            m.identities if self._channels == 20 else None,
             T_cw=T_cw, camera=self._intrinsics, count=self._map.count, out=self._splats,
         )  # fmt: skip
         self._bin()
@@ -74,9 +86,22 @@ class Renderer:
             median_depth=self.median_depth,
         )
 
-    def adjoint(self, T_cw: wp.array) -> None:
-        """Chain ``d_image`` and ``d_transmittance`` to ``gradients``; after :meth:`forward`."""
-        m, g = self._map.parameters, self.gradients
+    def adjoint(self, T_cw: wp.array, *, pose: bool = False) -> None:
+        """Chain ``d_image`` and ``d_transmittance`` to ``gradients``; after :meth:`forward`.
+
+        Args:
+            pose: write ``d_pose``, too.
+        """
+        g = self.gradients
+        outputs = {f"d_{name}": getattr(g, name) for name in PARAMETERS}
+        self._chain(T_cw, outputs, self._pose_scratch() if pose else ())
+
+    def adjoint_pose(self, T_cw: wp.array) -> None:
+        """Chain ``d_image`` and ``d_transmittance`` to ``d_pose`` alone; after :meth:`forward`."""
+        self._chain(T_cw, {}, self._pose_scratch())
+
+    def _chain(self, T_cw: wp.array, outputs: dict[str, wp.array], pose: tuple[wp.array, ...]) -> None:
+        m = self._map.parameters
         composite_adjoint(
             self._splats,
             self.tiles,
@@ -89,10 +114,16 @@ class Renderer:
         project_adjoint(
             m.means, m.quats, m.log_scales, m.opacity_logits, m.colours,
             T_cw=T_cw, camera=self._intrinsics, count=self._map.count,
-            tiles=self.tiles, slots=self._slots,
-            d_means=g.means, d_quats=g.quats, d_log_scales=g.log_scales,
-            d_opacity_logits=g.opacity_logits, d_colours=g.colours, d_identities=g.identities,
+            tiles=self.tiles, slots=self._slots, d_pose_scratch=pose, **outputs,
         )  # fmt: skip
+
+    def _pose_scratch(self) -> tuple[wp.array, ...]:
+        lengths = pose_levels(self._capacity)
+        if not self._pose or self._pose[0].shape[0] != lengths[0]:
+            row: Any = vec6
+            inner = (wp.empty(k, dtype=row, device=self._device) for k in lengths[:-1])
+            self._pose = (*inner, self.d_pose)
+        return self._pose
 
     def pose_array(self, T_wc: Float64) -> wp.array:
         """Return ``T_wc`` [4, 4] as the kernels want it: world to camera, on the device."""
@@ -133,7 +164,7 @@ class Renderer:
         self.gradients = GaussianArrays(
             *(
                 wp.zeros(capacity, dtype=self._map.fields[n].dtype, device=self._device)
-                if n in self._map.fields
+                if n in self._map.fields and (n != "identities" or self._channels == 20)
                 else None
                 for n in PARAMETERS
             )

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
+import pytest
 import torch
 import warp as wp
 
 from ggwarp import lie
-from ggwarp.map.gaussians import GaussianBatch, GaussianMap
+from ggwarp.map.gaussians import PARAMETERS, GaussianBatch, GaussianMap
 from ggwarp.map.renderer import Renderer
 from ggwarp.ops.reference.render import render as reference_render
 from ggwarp.types import Camera
@@ -77,3 +78,63 @@ def test_arrays_without_padding_have_the_camera_s_size(device: str) -> None:
     assert renderer.image.shape == (4, 48, 64)
     assert renderer.plane(renderer.image).shape == (4, 37, 50)
     assert wp.get_device(device) == renderer.image.device
+
+
+def faint_scene(count: int, rng: np.random.Generator) -> GaussianBatch:
+    """Well separated in depth and faint: no pixel is near a threshold of alpha or of the transmittance."""
+    z = 1.0 + 0.07 * rng.permutation(count)
+    xy = rng.uniform(-0.3, 0.3, (count, 2)) * z[:, None]
+    rows = scene(count, rng)
+    rows.means[:] = np.column_stack([xy, z])
+    rows.log_scales[:] = np.log(rng.uniform(0.05, 0.2, (count, 3)))
+    rows.opacity_logits[:] = rng.uniform(-2.0, 0.5, count)
+    return rows
+
+
+@pytest.mark.parametrize("planes", [[0, 1, 2], [3], []], ids=["colour", "depth", "transmittance"])
+@pytest.mark.parametrize("pose", [[0.0] * 6, [0.1, -0.05, 0.2, 0.05, -0.1, 0.3]])
+def test_the_pose_gradient_is_that_of_finite_differences(
+    device: str, rng: np.random.Generator, planes: list[int], pose: list[float]
+) -> None:
+    rows = faint_scene(40, rng)
+    gaussians, renderer = made(device, rows)
+    lean = Renderer(gaussians, CAMERA, identity=False)
+    T_cw = lie.se3_exp(pose)
+    weights = np.zeros((4, CAMERA.height, CAMERA.width))
+    weights[planes] = rng.normal(size=(len(planes), CAMERA.height, CAMERA.width)) + 0.5
+    seen_weight = 0.0 if planes else 1.0
+    T = lean.pose_array(lie.inverse(T_cw))
+
+    for r in (lean, renderer):
+        r.forward(T)
+        d_image = np.zeros(r.image.shape, np.float32)
+        d_image[:4, : CAMERA.height, : CAMERA.width] = weights
+        r.d_image.assign(d_image)
+        d_transmittance = np.zeros(r.transmittance.shape, np.float32)
+        d_transmittance[: CAMERA.height, : CAMERA.width] = seen_weight
+        r.d_transmittance.assign(d_transmittance)
+    lean.adjoint_pose(T)
+    renderer.adjoint(T, pose=True)
+
+    def loss(tau: np.ndarray) -> float:
+        tensors = [torch.tensor(getattr(rows, n), dtype=torch.float64) for n in list(PARAMETERS)[:5]]
+        T_moved = torch.tensor(lie.se3_exp(tau) @ T_cw)
+        image, transmittance, _ = reference_render(*tensors, None, T_moved, CAMERA)
+        return float((image * torch.tensor(weights)).sum() + seen_weight * transmittance.sum())
+
+    # So small that no pixel crosses the threshold of alpha on the way.
+    h = 1e-8
+    expected = np.array([(loss(h * e) - loss(-h * e)) / (2.0 * h) for e in np.eye(6)])
+    scale = np.linalg.norm(expected)
+    for r in (lean, renderer):
+        np.testing.assert_allclose(r.d_pose.numpy()[0], expected, atol=2e-3 * scale)
+
+
+def test_without_identities_colour_and_depth_are_the_same(device: str, rng: np.random.Generator) -> None:
+    gaussians, renderer = made(device, scene(60, rng))
+    lean = Renderer(gaussians, CAMERA, identity=False)
+    T = renderer.pose_array(np.eye(4))
+    renderer.forward(T)
+    lean.forward(T)
+    assert lean.image.shape[0] == 4 and lean.gradients.identities is None
+    np.testing.assert_allclose(lean.image.numpy(), renderer.image.numpy()[:4], atol=1e-5)
