@@ -67,8 +67,15 @@ class RunConfig:
     scale: float | None = None
     """Image scale, above 0 and at most 1; default: 1 on CUDA, about 50,000 pixels on a CPU."""
 
-    fps: float | None = None
-    """Live mode: frames arrive this many times a second; default: a fixed amount of mapping a frame."""
+    fps: float | Literal["uncapped"] | None = None
+    """Live mode: frames arrive this many times a second, or whenever the tracker is ready (uncapped);
+    default: a fixed amount of mapping a frame."""
+
+    pipelined: Literal["auto", "on", "off"] = "auto"
+    """Track and map at the same time, in two threads; auto: with --fps uncapped."""
+
+    refine: int = 0
+    """Mapping iterations after the last frame."""
 
     save_renders: int | None = None
     """Save the renders of every Nth frame, 0 for none; default: of about ten frames."""
@@ -152,8 +159,10 @@ def check(config: RunConfig) -> None:
         preset_config(config.preset)
     if config.scale is not None and not 0.0 < config.scale <= 1.0:
         raise ConfigError(f"--scale {config.scale:g}: give a number above 0 and at most 1")
-    if config.fps is not None and not 0.0 < config.fps < math.inf:
-        raise ConfigError(f"--fps {config.fps:g}: give a number above 0")
+    if isinstance(config.fps, float) and not 0.0 < config.fps < math.inf:
+        raise ConfigError(f"--fps {config.fps:g}: give a number above 0, or uncapped")
+    if config.refine < 0:
+        raise ConfigError(f"--refine {config.refine}: give 0 or a positive number of iterations")
     if config.save_renders is not None and config.save_renders < 0:
         raise ConfigError(f"--save-renders {config.save_renders}: give 0 or a positive number")
     if config.data is not None and not config.data.is_dir():

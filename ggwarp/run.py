@@ -9,6 +9,7 @@ import dataclasses
 import io
 import sys
 import time
+import traceback
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,10 +33,11 @@ from ggwarp.datasets import BUILT_IN, Dataset, DatasetError, FrameReader, open_d
 from ggwarp.io.toml import write_toml
 from ggwarp.kernels import loading
 from ggwarp.pipeline import report
-from ggwarp.pipeline.scheduler import LiveScheduler, Scheduler
+from ggwarp.pipeline.scheduler import LiveScheduler, Scheduler, UncappedScheduler
 from ggwarp.pipeline.slam import Slam
-from ggwarp.session import Interruption, evaluate, load_kernels, save, track_and_map
+from ggwarp.session import Interruption, evaluate, load_kernels, refine, save, track_and_map
 
+FAILED = 1
 USER_ERROR = 2
 INTERRUPTED = 130
 
@@ -49,8 +51,25 @@ RESULTS = {
         "heldout_depth_l1_cm",
         "heldout_miou",
     ],
-    "map": ["gaussians", "tracking_keyframes", "mapping_keyframes", "mapping_iterations"],
-    "time and memory": ["fps", "tracking_ms", "mapping_ms", "wall_s", "peak_memory_mb"],
+    "map": [
+        "gaussians",
+        "tracking_keyframes",
+        "mapping_keyframes",
+        "mapping_iterations",
+        "refine_iterations",
+    ],
+    "pace": [
+        "fps",
+        "tracking_ms",
+        "latency_ms_p50",
+        "latency_ms_p95",
+        "frames_late",
+        "late_ms_max",
+        "frames_behind_max",
+        "mapping_ms",
+        "iterations_per_frame",
+    ],
+    "time and memory": ["refine_s", "wall_s", "peak_memory_mb"],
 }
 """What the closing table shows, and in which order."""
 
@@ -65,7 +84,10 @@ class Command:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command and return its exit code: 0, 2 (the user's mistake) or 130 (Ctrl-C)."""
+    """Run the command and return its exit code.
+
+    0; 1: a failure on the way, what there was is saved; 2: the user's mistake; 130: Ctrl-C.
+    """
     started = time.perf_counter()
     display: Display | None = None
     try:
@@ -149,28 +171,65 @@ def execute(config: RunConfig, display: Display, interruption: Interruption, sta
     reader = FrameReader(dataset, indices, scale=scale)
     # Without masks there is no object to learn: the picture gets the time instead.
     system = dataclasses.replace(config.slam(), use_identity=config.use_identity and dataset.has_masks)
-    scheduler: Scheduler | None = None if config.fps is None else LiveScheduler(config.fps)
-    slam = Slam(system, reader.camera, reader.sensor_camera, device=device, scheduler=scheduler)
+    slam = Slam(system, reader.camera, reader.sensor_camera, device=device, scheduler=_scheduler(config))
+    beside = _beside(config, slam)
     load_kernels(device, display)
     names = getattr(dataset, "class_names", {})
     record = report.RunRecord(name, dataset.kind, device, class_names=names)
     with reader:
-        kept = track_and_map(slam, reader, record, display, interruption)
-    if not record.reports:
+        kept = track_and_map(slam, reader, record, display, interruption, beside=beside)
+    if not record.reports and record.failure is None:
         if interruption.requested:
             raise KeyboardInterrupt
         first = next(iter(record.skipped.values()))
         raise DatasetError(f"{dataset.name}: no frame could be used; the first: {first}")
+    if record.failure is None and not interruption.requested:
+        refine(slam, config.refine, record, display, interruption)
     evaluate(slam, reader, kept, record, folder, display, interruption, every=every)
     display.stage("saving")
     metrics = save(slam, record, folder, started)
     display.close()
+    share = f"{len(record.reports)} of {len(indices)} frames"
+    if record.failure is not None:
+        return _fail(record.failure, f"{share} are saved in {folder}")
     if interruption.requested:
-        display.note(f"interrupted after {len(record.reports)} of {len(indices)} frames; saved in {folder}")
+        display.note(f"interrupted after {share}; saved in {folder}")
         return INTERRUPTED
     display.results(metrics, RESULTS)
     display.note(f"results in {folder}")
     return 0
+
+
+def _scheduler(config: RunConfig) -> Scheduler | None:
+    """Return what paces the run; None: a fixed amount of mapping a frame."""
+    if config.fps is None:
+        return None
+    return UncappedScheduler() if config.fps == "uncapped" else LiveScheduler(config.fps)
+
+
+def _beside(config: RunConfig, slam: Slam) -> bool:
+    """Return whether to track beside the mapper.
+
+    Raises:
+        ConfigError: it is asked for, but the tracker cannot.
+    """
+    if config.pipelined == "on" and slam.in_turn_only:
+        raise ConfigError(
+            f"--pipelined on: the {config.tracker} tracker looks at the Gaussians being mapped and works in "
+            "turn with the mapper; leave the option out"
+        )
+    if config.pipelined == "auto":
+        return config.fps == "uncapped" and not slam.in_turn_only
+    return config.pipelined == "on"
+
+
+def _fail(failure: Exception, saved: str) -> int:
+    """Say what ended the run; where it looks like a fault of ours, say where in the code, too."""
+    reason = failure.__cause__ or failure
+    if not isinstance(reason, (DatasetError, OSError, MemoryError)):
+        traceback.print_exception(reason)
+    what = f"{type(reason).__name__}: {reason}" if str(reason) else type(reason).__name__
+    return _refuse(None, f"{failure}: {what}; {saved}", FAILED)
 
 
 def _introduce(config: RunConfig, dataset: Dataset, frames: int, display: Display) -> None:

@@ -21,6 +21,7 @@ from ggwarp.kernels import loading
 from ggwarp.pipeline import report
 from ggwarp.pipeline.renders import RenderWriter
 from ggwarp.pipeline.slam import Slam
+from ggwarp.pipeline.steps import SideError, run_steps
 from ggwarp.types import Frame, Rendered, StepReport, Verdict
 
 _KEPT_BYTES = 1 << 29  # frames held for the evaluation instead of being read again
@@ -60,9 +61,18 @@ def load_kernels(device: str, display: Display) -> None:
 
 
 def track_and_map(
-    slam: Slam, reader: FrameReader, record: report.RunRecord, display: Display, interruption: Interruption
+    slam: Slam,
+    reader: FrameReader,
+    record: report.RunRecord,
+    display: Display,
+    interruption: Interruption,
+    *,
+    beside: bool = False,
 ) -> list[Frame]:
-    """Process the frames into ``record``.
+    """Process the frames into ``record``; a failure of either side ends the loop and is kept there.
+
+    Args:
+        beside: track in a second thread, beside the mapper.
 
     Returns:
         The frames, for the evaluation; none when they are too many to hold in memory.
@@ -71,38 +81,62 @@ def track_and_map(
     kept: list[Frame] = []
     display.stage("frames", len(reader))
     started = time.perf_counter()
-    for frame in reader:
-        if isinstance(frame, BadFrame):
-            record.skipped[frame.index] = frame.reason
-            display.advance(f"frame {frame.index} skipped")
-            display.warn(f"frame {frame.index} skipped: {frame.reason}")
-        else:
-            step = slam.step(frame)
+    try:
+        for item, step in run_steps(slam, reader, beside=beside, stopped=lambda: interruption.requested):
+            if step is None:
+                _skip(item, record, display)
+                continue
             record.reports.append(step)
-            if frame.T_wc is not None:
-                record.truth[frame.index] = frame.T_wc
+            if item.T_wc is not None:
+                record.truth[item.index] = item.T_wc
             if size <= _KEPT_BYTES:
-                kept.append(dataclasses.replace(frame, sensor_depth=None))
+                kept.append(dataclasses.replace(item, sensor_depth=None))
             if step.verdict is Verdict.LOST:
-                display.warn(f"frame {frame.index} lost: {step.reason}")
+                display.warn(f"frame {item.index} lost: {step.reason}")
             display.advance(_status(step, len(record.reports) / (time.perf_counter() - started)))
-        if interruption.requested:
-            break
+    except SideError as error:
+        record.failure = error
     record.loop_s = time.perf_counter() - started
     record.counts = dict(slam.counts)
-    late = [r.late_ms for r in record.reports if r.late_ms > 0.0]
+    late = [r for r in record.reports if r.late_ms > 0.0]
     if late:
         display.warn(
-            f"{len(late)} of {len(record.reports)} frames were taken up late, by up to {max(late):.0f} ms"
+            f"{len(late)} of {len(record.reports)} frames were taken up late, by up to "
+            f"{max(r.late_ms for r in late):.0f} ms or {max(r.frames_behind for r in late)} frames"
         )
     return kept
 
 
+def _skip(frame: BadFrame, record: report.RunRecord, display: Display) -> None:
+    record.skipped[frame.index] = frame.reason
+    display.advance(f"frame {frame.index} skipped")
+    display.warn(f"frame {frame.index} skipped: {frame.reason}")
+
+
 def _status(step: StepReport, fps: float) -> str:
+    late = f", {step.late_ms:.0f} ms late" if step.late_ms else ""
     return (
-        f"{fps:.1f} fps, tracking {step.tracking_ms:.0f} ms, mapping {step.mapping_ms:.0f} ms, "
+        f"{fps:.1f} fps{late}, tracking {step.tracking_ms:.0f} ms, mapping {step.mapping_ms:.0f} ms, "
         f"{step.gaussians / 1000:.1f}k Gaussians"
     )
+
+
+def refine(
+    slam: Slam, iterations: int, record: report.RunRecord, display: Display, interruption: Interruption
+) -> None:
+    """Fit the finished map ``iterations`` times more; Ctrl-C ends that early and the run goes on."""
+    if not iterations or not slam.can_refine:
+        return
+    display.stage("refining", iterations)
+    started = time.perf_counter()
+    while record.refine_iterations < iterations and not interruption.requested:
+        slam.refine()
+        record.refine_iterations += 1
+        display.advance()
+    record.refine_s = time.perf_counter() - started
+    if interruption.requested:
+        interruption.requested = False
+        display.note(f"refinement ended after {record.refine_iterations} of {iterations} iterations")
 
 
 def _frames(reader: FrameReader) -> Iterator[Frame]:
@@ -121,14 +155,14 @@ def evaluate(
     *,
     every: int,
 ) -> None:
-    """Compare the map with the frames and save renders; an interrupted run is not compared.
+    """Compare the map with the frames and save renders; an interrupted or failed run is not compared.
 
     Args:
         kept: the frames; empty: they are read again by ``reader``.
         folder: the run folder.
         every: save the renders of every so many frames; 0: of none.
     """
-    if interruption.requested:
+    if interruption.requested or record.failure is not None:
         return
     saved = {r.index for r in record.reports[::every]} if every else set()
     writer = RenderWriter(folder / "renders", slam.map_arrays().identities)
@@ -153,8 +187,8 @@ def evaluate(
 
 def save(slam: Slam, record: report.RunRecord, folder: Path, started: float) -> dict[str, Any]:
     """Write the run folder and return what ``metrics.json`` holds."""
+    report.write_trajectories(folder, record)  # first: where the device has failed, the map cannot be had
     arrays = slam.map_arrays()
-    report.write_trajectories(folder, record)
     report.write_map(folder, arrays, record.class_names)
     report.write_frames(folder, record)
     metrics = report.metrics_of(record, wall_s=time.perf_counter() - started, gaussians=len(arrays))

@@ -189,7 +189,10 @@ class StepReport:
         mapping_iterations: iterations spent during this frame.
         gaussians: Gaussians in the map afterwards.
         loss: mean mapping loss over this frame's iterations; nan when there was none.
-        late_ms: how long after its arrival the frame was taken up, milliseconds (live mode).
+        latency_ms: from the frame's arrival to its pose, milliseconds; but for live mode a frame arrives when
+            the tracker takes it up.
+        late_ms: how long after its arrival a busy tracker took the frame up, milliseconds (live mode).
+        frames_behind: newer frames that had arrived by then.
     """
 
     index: int
@@ -205,4 +208,6 @@ class StepReport:
     mapping_iterations: int
     gaussians: int
     loss: float
+    latency_ms: float = float("nan")
     late_ms: float = 0.0
+    frames_behind: int = 0

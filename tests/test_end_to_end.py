@@ -70,13 +70,23 @@ def test_a_second_run_is_the_same_to_the_bit(first):
         assert (second / name).read_bytes() == (first / name).read_bytes(), name
 
 
-@pytest.mark.parametrize("options", [["--preset", "gs-icp"], ["--tracker", "ground-truth"], ["--fps", "2"]])
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--preset", "gs-icp"],
+        ["--tracker", "ground-truth"],
+        ["--fps", "2"],
+        ["--fps", "uncapped", "--refine", "3"],
+    ],
+)
 def test_other_ways_to_run(options, tmp_path):
     assert run.main([*SMALL, "--frames", "0:3", "--out", str(tmp_path), *options]) == 0
     metrics = json.loads((tmp_path / "metrics.json").read_text())
     assert metrics["frames"] == 3 and metrics["ate_rmse_cm"] < 1.0
     assert (metrics["frames_late"] > 0) == (metrics["late_ms_max"] > 0.0)
-    if "--fps" not in options:
+    assert metrics["latency_ms_p50"] > 0.0
+    assert metrics["refine_iterations"] == (3 if "--refine" in options else 0)
+    if "2" not in options:
         assert metrics["frames_late"] == 0
     if "gs-icp" in options:
         assert metrics["miou"] is None

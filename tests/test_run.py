@@ -50,19 +50,42 @@ def scene(tmp_path: Path, rng: np.random.Generator) -> Path:
 class FakeSlam:
     """Knows every pose, renders grey, and does on each frame what the test asks for."""
 
-    on_step = staticmethod(lambda index: None)
+    on_track = staticmethod(lambda index: None)
+    on_map = staticmethod(lambda index: None)
+    on_refine = staticmethod(lambda done: None)
+    in_turn_only = False
+    can_refine = True
 
     def __init__(self, config, camera, sensor_camera, *, device, scheduler=None):
-        self.camera, self.scheduler = camera, scheduler
+        self.camera, self.device, self.scheduler = camera, device, scheduler
+        self.refined = 0
         self.keyframe_indices = [0, 1]
         self.counts = {"tracking_keyframes": 1, "mapping_keyframes": 1, "frames_lost": 0}
 
-    def step(self, frame):
-        self.on_step(frame.index)
+    def track_frame(self, frame):
+        self.on_track(frame.index)
+        return SimpleNamespace(frame=frame)
+
+    def map_frame(self, tracked, waiting=None):
+        self.on_map(tracked.frame.index)
+        return self._report(tracked.frame, 3)
+
+    def leave_unmapped(self, tracked):
+        return self._report(tracked.frame, 0)
+
+    def skip_frame(self):
+        pass
+
+    def refine(self):
+        self.refined += 1
+        self.on_refine(self.refined)
+
+    def _report(self, frame, iterations):
         T_wc = np.eye(4) if frame.T_wc is None else frame.T_wc
         return StepReport(
-            frame.index, frame.timestamp, T_wc, Verdict.CONVERGED, "", 1.0, 0.0, "", 1.0, 2.0, 3, 7, 0.1
-        )
+            frame.index, frame.timestamp, T_wc, Verdict.CONVERGED, "", 1.0, 0.0, "", 1.0, 2.0, iterations, 7,
+            loss=0.1, latency_ms=1.0,
+        )  # fmt: skip
 
     def render(self, T_wc):
         shape = (self.camera.height, self.camera.width)
@@ -132,11 +155,40 @@ def test_its_configuration_runs_again(scene, fake, tmp_path):
     assert not Path("runs").exists()
 
 
-def test_live_mode_has_its_scheduler(scene, fake, monkeypatch):
+def test_live_modes_have_their_schedulers(scene, fake, monkeypatch):
     made = []
     monkeypatch.setattr(run, "LiveScheduler", lambda fps: made.append(fps) or SimpleNamespace())
-    assert run.main(["--seq", "room9", "--device", "cpu", "--fps", "30", "--out", "o"]) == 0
-    assert made == [30.0]
+    monkeypatch.setattr(run, "UncappedScheduler", lambda: made.append("uncapped") or SimpleNamespace())
+    for fps in ("30", "uncapped"):
+        assert run.main(["--seq", "room9", "--device", "cpu", "--fps", fps, "--out", "o"]) == 0
+        assert run.main(["--config", "o/config.toml", "--out", "again"]) == 0
+    assert made == [30.0, 30.0, "uncapped", "uncapped"]
+
+
+def test_refinement_is_counted(scene, fake):
+    assert run.main(["--seq", "room9", "--device", "cpu", "--refine", "5", "--out", "o"]) == 0
+    metrics = json.loads(Path("o/metrics.json").read_text())
+    assert metrics["refine_iterations"] == 5 and metrics["refine_s"] > 0.0
+    assert metrics["mapping_iterations"] == 3 * FRAMES, "refinement is not part of the frames' mapping"
+
+
+def test_ctrl_c_ends_the_refinement_only(scene, fake, monkeypatch, capsys):
+    def interrupt(done):
+        if done == 3:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(fake, "on_refine", staticmethod(interrupt))
+    assert run.main(["--seq", "room9", "--device", "cpu", "--refine", "50", "--out", "o"]) == 0
+    assert "refinement ended after 3 of 50 iterations" in capsys.readouterr().out
+    metrics = json.loads(Path("o/metrics.json").read_text())
+    assert metrics["refine_iterations"] == 3 and metrics["psnr"] is not None
+
+
+def test_a_tracker_that_works_in_turn(scene, fake, monkeypatch, capsys):
+    monkeypatch.setattr(fake, "in_turn_only", True)
+    assert run.main(["--seq", "room9", "--device", "cpu", "--out", "o"]) == 0
+    assert run.main(["--seq", "room9", "--device", "cpu", "--out", "o", "--pipelined", "on"]) == 2
+    assert "--pipelined on: the gicp tracker" in capsys.readouterr().err.splitlines()[-1]
 
 
 def test_bad_frames_are_skipped_and_counted(scene, fake, capsys):
@@ -162,16 +214,23 @@ def test_frames_are_read_again_when_too_many_to_hold(scene, fake, monkeypatch):
     assert json.loads(Path("o/metrics.json").read_text())["heldout_frames"] == FRAMES - 2
 
 
-def test_ctrl_c_saves_what_there_is(scene, fake, monkeypatch, capsys):
+@pytest.mark.parametrize("pipelined", ["on", "off"])
+def test_ctrl_c_saves_what_there_is(scene, fake, monkeypatch, capsys, pipelined):
     def interrupt(index):
         if index == 2:
             os.kill(os.getpid(), signal.SIGINT)
 
-    monkeypatch.setattr(fake, "on_step", staticmethod(interrupt))
-    assert run.main(["--seq", "room9", "--device", "cpu", "--out", "o"]) == 130
-    assert "interrupted after 3 of 6 frames; saved in o" in capsys.readouterr().out
+    monkeypatch.setattr(fake, "on_map", staticmethod(interrupt))
+    assert run.main(["--seq", "room9", "--device", "cpu", "--out", "o", "--pipelined", pipelined]) == 130
     metrics = json.loads(Path("o/metrics.json").read_text())
-    assert metrics["frames"] == 3 and metrics["ate_rmse_cm"] is not None and metrics["psnr"] is None
+    frames = metrics["frames"]
+    assert frames == 3 or (pipelined == "on" and 3 <= frames <= FRAMES), "frames tracked ahead are kept"
+    assert f"interrupted after {frames} of 6 frames; saved in o" in capsys.readouterr().out
+    assert (
+        metrics["mapping_iterations"] == 3 * 3
+        and metrics["ate_rmse_cm"] is not None
+        and metrics["psnr"] is None
+    )
     assert set(report.OUTPUTS) <= {p.name for p in Path("o").iterdir()}
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
@@ -200,6 +259,9 @@ MISTAKES = [
     (["--seq", "room9", "--frames", "abc"], "--frames abc: expected"),
     (["--seq", "room9", "--scale", "0"], "--scale 0"),
     (["--seq", "room9", "--scale", "big"], "--scale"),
+    (["--seq", "room9", "--fps", "fast"], "--fps"),
+    (["--seq", "room9", "--refine", "-1"], "--refine -1: give 0 or a positive number"),
+    (["--seq", "room9", "--pipelined", "perhaps"], "--pipelined"),
     (["--seq", "room9", "--device", "cpu", "--scale", "0.1"], "--scale 0.1: images of 6x5 are too small"),
     (["--seq", "room9", "--masks", "absent"], "absent"),
     (["--seq", "room9", "--preset", "monogs"], "not available yet"),
@@ -245,13 +307,37 @@ def test_no_space_left(scene, fake, monkeypatch, capsys):
     assert _only_line(capsys) == f"ggwarp: {Path('o/map.ply')}: No space left on device"
 
 
-def test_a_bug_is_not_hidden(scene, fake, monkeypatch):
+@pytest.mark.parametrize("pipelined", ["on", "off"])
+@pytest.mark.parametrize("side", ["tracking", "mapping"])
+def test_a_failure_says_its_reason_and_saves_what_there_is(scene, fake, monkeypatch, capsys, side, pipelined):
     def broken(index):
-        raise ZeroDivisionError
+        if index == 3:
+            raise ZeroDivisionError("one over nothing")
 
-    monkeypatch.setattr(fake, "on_step", staticmethod(broken))
-    with pytest.raises(ZeroDivisionError):
-        run.main(["--seq", "room9", "--device", "cpu", "--out", "o"])
+    monkeypatch.setattr(fake, {"tracking": "on_track", "mapping": "on_map"}[side], staticmethod(broken))
+    command = ["--seq", "room9", "--device", "cpu", "--out", "o", "--refine", "5", "--pipelined", pipelined]
+    assert run.main(command) == 1
+    errors = capsys.readouterr().err
+    assert "in broken" in errors, "a bug is not hidden"
+    metrics = json.loads(Path("o/metrics.json").read_text())
+    frames = metrics["frames"]
+    assert frames == 3 if side == "tracking" else 4 <= frames <= FRAMES
+    assert errors.splitlines()[-1] == (
+        f"ggwarp: {side} failed at frame 3: ZeroDivisionError: one over nothing; "
+        f"{frames} of 6 frames are saved in o"
+    )
+    assert metrics["mapping_iterations"] == 3 * 3 and metrics["refine_iterations"] == 0
+    assert metrics["psnr"] is None and len(read_ply(Path("o/map.ply"))) == 7
+    assert set(report.OUTPUTS) <= {p.name for p in Path("o").iterdir()}
+
+
+def test_a_disk_that_goes_away_needs_no_traceback(scene, fake, monkeypatch, capsys):
+    def gone(index):
+        raise OSError(errno.EIO, os.strerror(errno.EIO), "frame000001.jpg")
+
+    monkeypatch.setattr(fake, "on_track", staticmethod(gone))
+    assert run.main(["--seq", "room9", "--device", "cpu", "--out", "o"]) == 1
+    assert "Input/output error" in _only_line(capsys)
 
 
 def test_as_a_program(tmp_path):
@@ -264,5 +350,6 @@ def test_as_a_program(tmp_path):
     assert list(tmp_path.iterdir()) == []
     shown = subprocess.run([sys.executable, "-m", "ggwarp.run", "--help"], capture_output=True, text=True)
     assert shown.returncode == 0
-    for option in "seq data masks out device preset tracker frames scale fps save-renders config".split():
+    options = "seq data masks out device preset tracker frames scale fps pipelined refine save-renders config"
+    for option in options.split():
         assert f"--{option} " in shown.stdout

@@ -109,7 +109,7 @@ def _converted(value: Any, hint: Any, what: str) -> Any:
             return value
         raise TomlError(f"{what}, but one of {', '.join(map(str, arguments))} is needed")
     if origin in (typing.Union, types.UnionType):
-        return _converted(value, next(a for a in arguments if a is not type(None)), what)
+        return _one_of([a for a in arguments if a is not type(None)], value, what)
     if origin is tuple and isinstance(value, list):
         items = [arguments[0]] * len(value) if arguments[1:] == (...,) else list(arguments)
         if len(items) == len(value):
@@ -121,3 +121,13 @@ def _converted(value: Any, hint: Any, what: str) -> Any:
     if hint in (int, bool, str) and type(value) is hint:
         return value
     raise TomlError(f"{what}, but {getattr(hint, '__name__', hint)} is needed")
+
+
+def _one_of(hints: list[Any], value: Any, what: str) -> Any:
+    needed: list[str] = []
+    for hint in hints:
+        try:
+            return _converted(value, hint, what)
+        except TomlError as error:
+            needed.append(str(error).removeprefix(f"{what}, but ").removesuffix(" is needed"))
+    raise TomlError(f"{what}, but {' or '.join(needed)} is needed")

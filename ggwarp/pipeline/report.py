@@ -51,7 +51,9 @@ FRAME_COLUMNS: tuple[str, ...] = (
     "tracking_ms",
     "mapping_ms",
     "mapping_iterations",
+    "latency_ms",
     "late_ms",
+    "frames_behind",
     "gaussians",
     "loss",
     "ate_cm",
@@ -76,6 +78,8 @@ class RunRecord:
         counts: tracking_keyframes, mapping_keyframes, frames_lost.
         class_names: mask id -> what the object is, where the data says.
         loop_s: seconds from the first frame's arrival to the last one's end.
+        refine_iterations, refine_s: spent on the map after the last frame.
+        failure: what ended the run early; None: nothing did.
         evaluation: pictures and objects against the frames; empty when not done.
     """
 
@@ -88,6 +92,9 @@ class RunRecord:
     counts: dict[str, int] = field(default_factory=dict)
     class_names: dict[int, str] = field(default_factory=dict)
     loop_s: float = 0.0
+    refine_iterations: int = 0
+    refine_s: float = 0.0
+    failure: Exception | None = None
     evaluation: Evaluation = field(default_factory=Evaluation)
 
     def poses(self) -> dict[int, Float64]:
@@ -173,8 +180,8 @@ def write_metrics(folder: Path, metrics: Mapping[str, Any]) -> None:
 def metrics_of(record: RunRecord, *, wall_s: float, gaussians: int) -> dict[str, Any]:
     """Return the run's figures under their names in ``metrics.json``; None = not measured.
 
-    ``fps`` is frames over the time of the tracking and mapping loop; ``tracking_ms`` and
-    ``mapping_ms`` are means per frame; ``wall_s`` runs from the command's start.
+    ``fps`` is frames over the time of the tracking and mapping loop, refinement not counted; ``tracking_ms``
+    and ``mapping_ms`` are means per frame; ``wall_s`` runs from the command's start.
     """
     reports = record.reports
     ate, rpe = _trajectory_errors(record)
@@ -188,6 +195,14 @@ def metrics_of(record: RunRecord, *, wall_s: float, gaussians: int) -> dict[str,
         "tracking_ms": _mean(r.tracking_ms for r in reports),
         "mapping_ms": _mean(r.mapping_ms for r in reports),
         "mapping_iterations": sum(r.mapping_iterations for r in reports),
+        "iterations_per_frame": _mean(r.mapping_iterations for r in reports),
+        "refine_iterations": record.refine_iterations,
+        "refine_s": record.refine_s,
+        "latency_ms_p50": _percentile([r.latency_ms for r in reports], 50),
+        "latency_ms_p95": _percentile([r.latency_ms for r in reports], 95),
+        "frames_late": sum(r.late_ms > 0.0 for r in reports),
+        "late_ms_max": max((r.late_ms for r in reports), default=None),
+        "frames_behind_max": max((r.frames_behind for r in reports), default=None),
         "ate_rmse_cm": None if ate is None else 100.0 * ate.rmse,
         "ate_mean_cm": None if ate is None else 100.0 * ate.mean,
         "rpe_rmse_cm": None if rpe is None else 100.0 * rpe.rmse,
@@ -197,8 +212,6 @@ def metrics_of(record: RunRecord, *, wall_s: float, gaussians: int) -> dict[str,
         "gaussians": gaussians,
         "tracking_keyframes": record.counts.get("tracking_keyframes", 0),
         "mapping_keyframes": record.counts.get("mapping_keyframes", 0),
-        "frames_late": sum(r.late_ms > 0.0 for r in reports),
-        "late_ms_max": max((r.late_ms for r in reports), default=None),
         "frames_lost": record.counts.get("frames_lost", 0),
         "frames_skipped": len(record.skipped),
         "peak_memory_mb": peak_memory_mb(),
@@ -239,6 +252,10 @@ def _ate_per_frame(record: RunRecord) -> dict[int, float]:
 def _mean(values: Iterable[float]) -> float | None:
     listed = list(values)
     return float(np.mean(listed)) if listed else None
+
+
+def _percentile(values: list[float], percent: float) -> float | None:
+    return float(np.percentile(values, percent)) if values else None
 
 
 def _cell(value: Any) -> Any:

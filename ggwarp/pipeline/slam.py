@@ -1,8 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The SLAM system: track a frame, decide what it adds, add it, refine the map."""
+"""The SLAM system: track a frame, decide what it adds, add it, fit the map.
+
+It has two sides that share no state: the tracker's (:meth:`Slam.track_frame`: tracker, keyframe policy,
+trackable points) and the mapper's (:meth:`Slam.map_frame`: the Gaussians, the reports). A :class:`Tracked`
+frame goes from one to the other.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from dataclasses import dataclass, field
 from typing import Any
@@ -13,7 +19,7 @@ from ggwarp.io.ply import PlyGaussians
 from ggwarp.pipeline.given_poses import GivenPoses
 from ggwarp.pipeline.keyframes import KeyframeConfig, KeyframeKind, OverlapKeyframes
 from ggwarp.pipeline.mapper import Mapper, MapperConfig
-from ggwarp.pipeline.scheduler import Scheduler, SynchronousScheduler
+from ggwarp.pipeline.scheduler import Arrival, Scheduler, SynchronousScheduler, Waiting
 from ggwarp.pipeline.trackable import TrackableConfig, TrackableMap
 from ggwarp.pipeline.tracker import GicpTracker, TrackerConfig
 from ggwarp.types import Camera, Float64, Frame, Rendered, StepReport, TrackResult, Verdict
@@ -33,10 +39,28 @@ class SlamConfig:
     """Take poses from the data set instead of tracking (mapping only, for comparison)."""
 
 
+@dataclass(frozen=True)
+class Tracked:
+    """A frame as the tracker's side hands it to the mapper's; everything is on the host.
+
+    Attributes:
+        frame: as it came. arrival: when that was.
+        result: its pose. kind: what it adds to the map.
+        seconds: spent on the pose.
+    """
+
+    frame: Frame
+    arrival: Arrival
+    result: TrackResult
+    kind: KeyframeKind
+    seconds: float
+
+
 class Slam:
     """Object-level RGB-D SLAM, one frame at a time.
 
     Attributes:
+        device: Warp device.
         map: the Gaussians.
         reports: one row a frame.
         keyframe_indices: frames that were ever used for mapping.
@@ -57,9 +81,11 @@ class Slam:
         Args:
             camera: of the frames' ``rgb``, ``depth`` and ``mask``.
             sensor_camera: of the frames' ``sensor_depth``.
-            scheduler: how much mapping a frame gets; default: ``config.mapper.iterations`` each.
+            scheduler: when frames come and how much mapping they get; default: ``config.mapper.iterations``
+                each.
         """
         self.config = config
+        self.device = device
         tracker = GivenPoses if config.use_true_poses else GicpTracker
         self._tracker = tracker(config.tracker, sensor_camera, device=device)
         self._trackable = TrackableMap(config.trackable, device=device)
@@ -72,21 +98,59 @@ class Slam:
 
     def step(self, frame: Frame) -> StepReport:
         """Process the next frame: pose first, then the map."""
-        late = self._scheduler.begin_frame()
+        return self.map_frame(self.track_frame(frame))
+
+    def track_frame(self, frame: Frame) -> Tracked:
+        """Find the next frame's pose and what it adds (the tracker's side)."""
+        arrival = self._scheduler.take_up()
         started = time.perf_counter()
         result = self._track(frame)
-        tracked = time.perf_counter()
+        seconds = time.perf_counter() - started
         kind = self._policy.decide(result)
-        if kind is not KeyframeKind.NONE:
-            self._mapper.insert(frame, result.T_wc)
         if kind is KeyframeKind.TRACKING:
             self._trackable.add(result)
-        losses = self._refine()
-        return self._report(frame, result, kind, losses, (late, started, tracked, time.perf_counter()))
+        return Tracked(frame, arrival, result, kind, seconds)
+
+    def map_frame(self, tracked: Tracked, waiting: Waiting | None = None) -> StepReport:
+        """Add what the frame adds and fit the map (the mapper's side).
+
+        Args:
+            tracked: frames in the order in which they were tracked.
+            waiting: where tracking runs beside: says whether the next frame waits already.
+        """
+        started = time.perf_counter()
+        if tracked.kind is not KeyframeKind.NONE:
+            self._mapper.insert(tracked.frame, tracked.result.T_wc)
+        losses: list[float] = []
+        while self._mapper.ready and self._scheduler.wants_more(len(losses), waiting):
+            losses.append(self._mapper.iterate())
+        return self._report(tracked, losses, time.perf_counter() - started)
+
+    def leave_unmapped(self, tracked: Tracked) -> StepReport:
+        """Report a frame that the map will never see: the run ends before its turn."""
+        return self._report(dataclasses.replace(tracked, kind=KeyframeKind.NONE), [], 0.0)
+
+    def skip_frame(self) -> None:
+        """Let the time of a frame pass that cannot be used."""
+        self._scheduler.take_up()
+
+    @property
+    def can_refine(self) -> bool:
+        """Whether there is a map to fit."""
+        return self._mapper.ready
+
+    def refine(self) -> None:
+        """Fit the map once more, without a new frame."""
+        self._mapper.iterate()
 
     def render(self, T_wc: Float64) -> Rendered:
         """Return the map's view from ``T_wc`` [4, 4] at the run's image size."""
         return self._mapper.render(T_wc)
+
+    @property
+    def in_turn_only(self) -> bool:
+        """Whether the tracker looks at the Gaussians, so that it cannot run beside the mapper."""
+        return getattr(self._tracker, "needs_gaussians", False)
 
     @property
     def keyframe_indices(self) -> list[int]:
@@ -101,24 +165,11 @@ class Slam:
             return self._tracker.start(frame, np.eye(4) if frame.T_wc is None else frame.T_wc)
         return self._tracker.track(frame, self._trackable.snapshot())
 
-    def _refine(self) -> list[float]:
-        losses: list[float] = []
-        while self._mapper.ready and self._scheduler.wants_more(len(losses)):
-            losses.append(self._mapper.iterate())
-        return losses
-
-    def _report(
-        self,
-        frame: Frame,
-        result: TrackResult,
-        kind: KeyframeKind,
-        losses: list[float],
-        times: tuple[float, float, float, float],
-    ) -> StepReport:
+    def _report(self, tracked: Tracked, losses: list[float], mapping_s: float) -> StepReport:
+        frame, arrival, result, kind = tracked.frame, tracked.arrival, tracked.result, tracked.kind
         self.counts["frames_lost"] += result.verdict is Verdict.LOST
         if kind is not KeyframeKind.NONE:
             self.counts[f"{kind.value}_keyframes"] += 1
-        late, started, tracked, mapped = times
         report = StepReport(
             index=frame.index,
             timestamp=frame.timestamp,
@@ -128,12 +179,14 @@ class Slam:
             overlap=result.overlap,
             rmse=result.rmse,
             keyframe=kind.value,
-            tracking_ms=1e3 * (tracked - started),
-            mapping_ms=1e3 * (mapped - tracked),
+            tracking_ms=1e3 * tracked.seconds,
+            mapping_ms=1e3 * mapping_s,
             mapping_iterations=len(losses),
             gaussians=self.map.count,
             loss=float(np.mean(losses)) if losses else float("nan"),
-            late_ms=1e3 * late,
+            latency_ms=1e3 * (arrival.delay + tracked.seconds),
+            late_ms=1e3 * arrival.delay if arrival.late else 0.0,
+            frames_behind=arrival.behind,
         )
         self.reports.append(report)
         return report

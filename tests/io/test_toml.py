@@ -26,6 +26,7 @@ class Outer:
     on: bool = True
     folder: Path | None = None
     mode: Literal["a", "b"] = "a"
+    pace: float | Literal["free"] | None = None
     inner: Inner = field(default_factory=Inner)
 
 
@@ -35,9 +36,10 @@ def _round_trip(config: Outer, path: Path) -> Outer:
 
 
 def test_round_trip(tmp_path):
-    config = Outer("x", -4, False, Path("/a b"), "b", Inner(1e-15, (), (float("inf"), 2.0)))
+    config = Outer("x", -4, False, Path("/a b"), "b", 2.0, Inner(1e-15, (), (float("inf"), 2.0)))
     assert _round_trip(config, tmp_path / "c.toml") == config
     assert _round_trip(Outer(), tmp_path / "c.toml") == Outer()
+    assert _round_trip(Outer(pace="free"), tmp_path / "c.toml") == Outer(pace="free")
 
 
 @given(text=st.text(st.characters(exclude_categories=["Cs"])), rate=st.floats(allow_nan=False))
@@ -57,6 +59,7 @@ def test_a_part_leaves_the_rest():
         ({"inner": {"ratee": 1}}, "f: unknown key 'inner.ratee'"),
         ({"inner": 3}, "section \\[inner\\]"),
         ({"count": 1.5}, "count = 1.5, but int is needed"),
+        ({"pace": "fre"}, "pace = 'fre', but float or one of free is needed"),
         ({"count": True}, "count = True, but int is needed"),
         ({"on": 1}, "on = 1, but bool is needed"),
         ({"name": 7}, "name = 7, but str is needed"),

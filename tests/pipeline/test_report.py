@@ -27,7 +27,10 @@ def _pose(x: float) -> np.ndarray:
 
 
 def _step(index: int, x: float, verdict: Verdict = Verdict.CONVERGED, loss: float = 0.5) -> StepReport:
-    return StepReport(index, index / 30, _pose(x), verdict, "", 0.9, 0.001, "", 10.0, 30.0, 4, 100, loss)
+    return StepReport(
+        index, index / 30, _pose(x), verdict, "", 0.9, 0.001, "", 10.0, 30.0, 4, 100, loss,
+        latency_ms=10.0 * (1 + index), late_ms=max(0.0, 10.0 * (index - 1)), frames_behind=index // 2,
+    )  # fmt: skip
 
 
 @pytest.fixture
@@ -58,6 +61,12 @@ def test_metrics(record):
     assert metrics["mapping_iterations"] == 12 and metrics["gaussians"] == 123
     assert metrics["ate_rmse_cm"] == pytest.approx(2.0)  # 4 cm between two poses, shared by alignment
     assert metrics["ate_mean_cm"] == pytest.approx(2.0)
+    assert metrics["iterations_per_frame"] == 4.0
+    assert metrics["latency_ms_p50"] == 30.0 and metrics["latency_ms_p95"] == pytest.approx(39.0)
+    assert (
+        metrics["frames_late"] == 2 and metrics["late_ms_max"] == 20.0 and metrics["frames_behind_max"] == 1
+    )
+    assert metrics["refine_iterations"] == 0 and metrics["refine_s"] == 0.0
     assert metrics["frames_lost"] == 1 and metrics["frames_skipped"] == 1
     assert metrics["psnr"] == 30.0 and metrics["heldout_psnr"] == 28.0 and metrics["heldout_frames"] == 1
     assert metrics["lpips"] is None and metrics["heldout_miou"] is None
@@ -71,6 +80,8 @@ def test_what_was_not_measured_is_null(tmp_path):
     for key in (
         "fps",
         "tracking_ms",
+        "latency_ms_p95",
+        "frames_behind_max",
         "ate_rmse_cm",
         "psnr",
         "ssim",
@@ -106,6 +117,11 @@ def test_a_row_for_every_frame(record, tmp_path):
     assert [r["verdict"] for r in rows] == ["converged", "skipped", "converged", "lost"]
     assert rows[1]["reason"] == "frame000001.jpg: damaged" and rows[1]["psnr"] == ""
     assert rows[2]["held_out"] == "1" and float(rows[2]["psnr"]) == 31.5 and rows[2]["ate_cm"] == ""
+    assert (
+        float(rows[2]["latency_ms"]) == 30.0
+        and rows[2]["frames_behind"] == "1"
+        and rows[1]["latency_ms"] == ""
+    )
     assert rows[3]["loss"] == "" and float(rows[3]["ate_cm"]) == pytest.approx(2.0)
     assert float(rows[0]["rmse_mm"]) == pytest.approx(1.0)
 

@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The loop over the frames: tracking and mapping in turn, or beside each other in two threads.
+
+Tracking of the next frame needs nothing of the mapping of this one, as long as the tracker does not look at
+the Gaussians. Its side may then run a few frames ahead: each side still sees the same frames in the same
+order, so that the results of synchronous mode stay the same to the bit.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from types import TracebackType
+from typing import Any, Generic, TypeVar
+
+from ggwarp.kernels import loading
+from ggwarp.pipeline.scheduler import Waiting
+from ggwarp.pipeline.slam import Slam, Tracked
+from ggwarp.types import Frame, StepReport
+
+T = TypeVar("T")
+
+AHEAD = 3
+"""Tracked frames that may wait for the mapper."""
+
+
+class SideError(RuntimeError):
+    """One side of the system failed; ``__cause__`` has the reason.
+
+    Attributes:
+        side: "reading", "tracking" or "mapping".
+    """
+
+    def __init__(self, side: str, where: str) -> None:
+        super().__init__(f"{side} failed {where}")
+        self.side = side
+
+
+def run_steps(
+    slam: Slam, items: Iterable[Any], *, beside: bool = False, stopped: Callable[[], bool] = lambda: False
+) -> Iterator[tuple[Any, StepReport | None]]:
+    """Process the frames among ``items``; yield every item in order, each frame with its report.
+
+    Args:
+        items: frames, and anything else in place of a frame that is missing.
+        beside: track in a second thread, up to :data:`AHEAD` frames ahead of the mapper.
+        stopped: asked between frames whether to end early.
+
+    Raises:
+        SideError: one side failed; both have ended. Every tracked frame was yielded before.
+        ValueError: ``beside``, but the tracker looks at the Gaussians.
+    """
+    if beside and slam.in_turn_only:
+        raise ValueError(
+            "this tracker looks at the Gaussians being mapped: it works in turn with the mapper only"
+        )
+    halted = threading.Event()
+    source = _tracked(slam, items, lambda: halted.is_set() or stopped())
+    failure: SideError | None = None
+    with contextlib.ExitStack() as stack:
+        waiting = None
+        if beside:
+            # Two threads must not compile a kernel at once.
+            loading.load(loading.imported_kernel_modules(slam.device), slam.device)
+            source = stack.enter_context(_Ahead(source, AHEAD, halted))
+            waiting = source.waiting
+        try:
+            for item, tracked in source:
+                if tracked is None:
+                    yield item, None
+                    continue
+                if failure is not None or (beside and stopped()):
+                    report = slam.leave_unmapped(tracked)
+                else:
+                    report, failure = _mapped(slam, tracked, waiting)
+                    if failure is not None:
+                        halted.set()
+                yield item, report
+        except SideError as error:
+            failure = failure or error
+    if failure is not None:
+        raise failure
+
+
+def _mapped(slam: Slam, tracked: Tracked, waiting: Waiting | None) -> tuple[StepReport, SideError | None]:
+    """The mapper's side: return the frame's report, and what went wrong."""
+    try:
+        return slam.map_frame(tracked, waiting), None
+    except Exception as error:
+        failure = SideError("mapping", f"at frame {tracked.frame.index}")
+        failure.__cause__ = error
+        return slam.leave_unmapped(tracked), failure
+
+
+def _tracked(
+    slam: Slam, items: Iterable[Any], stopped: Callable[[], bool]
+) -> Iterator[tuple[Any, Tracked | None]]:
+    """The tracker's side: yield every item, frames with their pose."""
+    last = None
+    remaining = iter(items)
+    while not stopped():
+        try:
+            item = next(remaining, None)
+        except Exception as error:
+            where = "at the first frame" if last is None else f"after frame {last}"
+            raise SideError("reading", where) from error
+        if item is None:
+            # That there are no more is seen when the next one fails to arrive.
+            slam.skip_frame()
+            return
+        last = item.index
+        if not isinstance(item, Frame):
+            slam.skip_frame()
+            yield item, None
+            continue
+        try:
+            tracked = slam.track_frame(item)
+        except Exception as error:
+            raise SideError("tracking", f"at frame {item.index}") from error
+        yield item, tracked
+
+
+class _Ahead(Generic[T]):
+    """Runs an iterator in a thread of its own, a few items ahead."""
+
+    def __init__(self, source: Iterator[T], ahead: int, halted: threading.Event) -> None:
+        """``halted`` is set to end ``source``, which asks for it."""
+        self._source = source
+        self._halted = halted
+        self._queue: queue.Queue[tuple[T] | BaseException | None] = queue.Queue(ahead)
+        self._thread = threading.Thread(target=self._run, name="ggwarp-tracking", daemon=True)
+        self._ended = False
+
+    def waiting(self) -> bool:
+        """Return whether there is something to take without waiting: an item, or the end."""
+        return not self._queue.empty()
+
+    def __enter__(self) -> _Ahead[T]:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._halted.set()
+        while not self._ended:  # the thread may be waiting for room
+            self._take()
+        self._thread.join()
+
+    def __iter__(self) -> Iterator[T]:
+        while (taken := self._take()) is not None:
+            if isinstance(taken, BaseException):
+                raise taken
+            yield taken[0]
+
+    def _take(self) -> tuple[T] | BaseException | None:
+        taken = self._queue.get()
+        self._ended = not isinstance(taken, tuple)
+        return taken
+
+    def _run(self) -> None:
+        end = None
+        try:
+            for item in self._source:
+                self._queue.put((item,))
+        except BaseException as error:  # handed to the other side, which would else wait for ever
+            end = error
+        self._queue.put(end)
