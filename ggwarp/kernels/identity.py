@@ -73,7 +73,7 @@ def _rows_kernel(
     offset: int,
     classes: int,
     stride: int,
-    phase: int,
+    phase: wp.array[wp.int32],
     scale: float,
     image: wp.array3d[vec16],
     labels: wp.array2d[wp.int32],
@@ -91,7 +91,7 @@ def _rows_kernel(
 ):
     """Cross-entropy of one image row; ``*_lanes`` are float views of the vec16 arrays."""
     row = offset + wp.tid()
-    if row >= labels.shape[0] or row % stride != phase:
+    if row >= labels.shape[0] or row % stride != phase[0]:
         _clear_row(row, d_image)
         return
     for c in range(classes):
@@ -173,7 +173,7 @@ def _rows_kernel(
 def _fold_kernel(
     height: int,
     stride: int,
-    phase: int,
+    phase: wp.array[wp.int32],
     weight_partials: wp.array2d[vec16],
     other_partials: wp.array2d[wp.vec2],
     d_weights: wp.array[vec16],
@@ -183,7 +183,7 @@ def _fold_kernel(
     c = wp.tid()
     d = vec16()
     other = wp.vec2()
-    for row in range(phase, height, stride):
+    for row in range(phase[0], height, stride):
         d += weight_partials[row, c]
         other += other_partials[row, c]
     d_weights[c] = d
@@ -224,9 +224,9 @@ def cross_entropy(
     d_biases: Any,
     losses: Any,
     workspace: IdentityWorkspace,
+    phase: Any,
     weight: float = 0.1,
     stride: int = 1,
-    phase: int = 0,
     device: Any,
 ) -> None:
     """Evaluate L_obj of a rendered identity image and write its adjoint.
@@ -240,20 +240,19 @@ def cross_entropy(
         d_weights, d_biases: like ``weights`` and ``biases``; the first ``classes`` are written.
         losses: ``losses[OBJECT]`` becomes the unweighted L_obj.
         workspace: scratch of this [Hp, Wp], with room for ``classes``.
+        phase: [1] int in 0..stride - 1.
         weight: l_obj.
-        stride, phase: only rows with row % stride == phase are evaluated, and count ``stride``
-            times; over random phases the gradient's mean is that of all rows.
+        stride: only rows with row % stride == phase are evaluated, and count ``stride`` times; over
+            random phases the gradient's mean is that of all rows.
         device: a Warp device.
 
     Raises:
-        ValueError: ``classes`` is not in 1..capacity, or ``phase`` not in 0..stride - 1.
+        ValueError: ``classes`` is not in 1..capacity.
     """
     height, width = labels.shape
     capacity = min(workspace.weight_partials.shape[1], weights.shape[0])
     if not 1 <= classes <= capacity:
         raise ValueError(f"identity classes: {classes}, but there is room for 1 to {capacity}")
-    if not 0 <= phase < stride:
-        raise ValueError(f"phase {phase} is not in 0..{stride - 1}")
     unit = stride / (height * width * math.log(classes)) if classes > 1 else 0.0
     partials = [workspace.weight_partials, workspace.other_partials]
     head = [classes, stride, phase, weight * unit]

@@ -30,7 +30,7 @@ def _pixels_kernel(
     width: int,
     classes: int,
     stride: int,
-    phase: int,
+    phase: wp.array[wp.int32],
     scale: float,
     image: wp.array3d[wp.float32],
     labels: wp.array2d[wp.int32],
@@ -43,7 +43,7 @@ def _pixels_kernel(
     row = item / width
     column = item - row * width
     label = int(-1)
-    if row < labels.shape[0] and column < labels.shape[1] and row % stride == phase:
+    if row < labels.shape[0] and column < labels.shape[1] and row % stride == phase[0]:
         label = labels[row, column]
     d = vec16()
     if label >= 0 and label < classes:
@@ -71,7 +71,7 @@ def _pixels_kernel(
 def _classes_kernel(
     classes: int,
     stride: int,
-    phase: int,
+    phase: wp.array[wp.int32],
     scale: float,
     image: wp.array3d[wp.float32],
     labels: wp.array2d[wp.int32],
@@ -82,8 +82,10 @@ def _classes_kernel(
     other_partials: wp.array2d[wp.vec2],
 ):
     item = wp.tid()
-    row = phase + (item / classes) * stride
+    row = phase[0] + (item / classes) * stride
     c = item % classes
+    if row >= labels.shape[0]:
+        return
     d = vec16()
     db = float(0.0)
     loss = float(0.0)
@@ -106,7 +108,7 @@ def _classes_kernel(
 def launch(
     classes: int,
     stride: int,
-    phase: int,
+    phase: Any,
     scale: float,
     image: Any,
     labels: Any,
@@ -135,7 +137,7 @@ def launch(
     )
     wp.launch(
         _classes_kernel,
-        dim=len(range(phase, labels.shape[0], stride)) * classes,
+        dim=-(-labels.shape[0] // stride) * classes,
         inputs=common,
         outputs=[weight_partials, other_partials],
         device=device,

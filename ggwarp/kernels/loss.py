@@ -83,6 +83,25 @@ def _clear_padding_kernel(height: int, width: int, planes: int, d_image: wp.arra
             d_image[c, row, column] = 0.0
 
 
+@wp.kernel
+def _total_kernel(weights: wp.array[wp.float32], losses: wp.array[wp.float32], totals: wp.array[wp.float64]):
+    total = wp.float64(0.0)
+    for k in range(losses.shape[0]):
+        total += wp.float64(weights[k]) * wp.float64(losses[k])
+    totals[0] += total
+    totals[1] += wp.float64(1.0)
+
+
+def add_total(losses: Any, *, weights: Any, totals: Any, device: Any) -> None:
+    """Add an iteration's weighted loss to ``totals``, so that the host need not read each.
+
+    Args:
+        losses, weights: [LOSS_COUNT].
+        totals: [2] float64, added to: the sum of the losses, and how many there were.
+    """
+    wp.launch(_total_kernel, dim=1, inputs=[weights, losses], outputs=[totals], device=device)
+
+
 def rgbd_loss(
     image: Any,
     colour: Any,

@@ -46,7 +46,8 @@ class TileArrays:
         slot_gaussians: [P] int: slot -> Gaussian.
         pair_slots: [2P] int: slots sorted by tile, then depth; the second half is scratch.
         tile_ranges: [t] vec2i: begin and end of each tile (row by row) in ``pair_slots``.
-        counts: [3] int: visible Gaussians, pairs, whether the pairs exceed P.
+        counts: [4] int: visible Gaussians, pairs, whether the pairs exceed P; on CUDA also the most pairs
+            of any binning since the array was allocated.
         depth_keys, pair_counts, pair_tiles: scratch: [2n] float, [n + 1] and [2P] int.
     """
 

@@ -15,6 +15,7 @@ wp.set_module_options({"enable_backward": False})
 VISIBLE = wp.constant(0)
 PAIRS = wp.constant(1)
 OVERFLOW = wp.constant(2)
+PEAK = wp.constant(3)
 
 
 @wp.func
@@ -130,6 +131,7 @@ def _find_ranges(
         counts[OVERFLOW] = 0
         if pairs < 0 or pairs > capacity:
             counts[OVERFLOW] = 1
+        counts[PEAK] = wp.max(counts[PEAK], wp.where(pairs < 0, 2147483647, pairs))
 
 
 def bin_in_parallel(

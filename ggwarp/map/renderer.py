@@ -14,7 +14,9 @@ from ggwarp.kernels.composite import composite, composite_adjoint
 from ggwarp.kernels.math import vec6
 from ggwarp.kernels.project import intrinsics_of, project
 from ggwarp.kernels.project_adjoint import pose_levels, project_adjoint
+from ggwarp.kernels.streams import to_host
 from ggwarp.kernels.tiles import TILE, TileCapacityError, bin_splats
+from ggwarp.kernels.tiles_parallel import PEAK
 from ggwarp.map.gaussians import PARAMETERS, GaussianMap
 from ggwarp.ops.workspace import allocate_slot_gradients, allocate_splats, allocate_tiles
 from ggwarp.types import Camera, Float32, Float64
@@ -67,15 +69,12 @@ class Renderer:
         self._reserve()
 
     def forward(self, T_cw: wp.array) -> None:
-        """Render from ``T_cw`` ([1] mat44, world to camera)."""
-        self._reserve()
-        m = self._map.parameters
-        project(
-            m.means, m.quats, m.log_scales, m.opacity_logits, m.colours,
-            m.identities if self._channels == 20 else None,
-            T_cw=T_cw, camera=self._intrinsics, count=self._map.count, out=self._splats,
-        )  # fmt: skip
-        self._bin()
+        """Render from ``T_cw`` ([1] mat44, world to camera).
+
+        Nothing is read back on CUDA: where tile slots do not suffice the farthest splats are left out,
+        until :meth:`make_room`.
+        """
+        self._bin(T_cw)
         composite(
             self._splats,
             self.tiles,
@@ -134,7 +133,30 @@ class Renderer:
         """Return a copy of a plane or image, without its padding."""
         return array.numpy()[..., : self.camera.height, : self.camera.width].copy()
 
-    def _bin(self) -> None:
+    def make_room(self) -> bool:
+        """Give CUDA the tile slots that renders so far lacked; wait for the device. True if they did."""
+        if self._device.is_cpu:
+            return False
+        peak = int(to_host(self.tiles.counts)[PEAK])
+        if peak <= self.tiles.capacity:
+            return False
+        self._allocate_tiles(int(peak * _GROWTH))
+        return True
+
+    def provide(self, T_cw: wp.array) -> None:
+        """Make room for a view's tile slots beforehand."""
+        if not self._device.is_cpu:
+            self._bin(T_cw)
+            self.make_room()
+
+    def _bin(self, T_cw: wp.array) -> None:
+        self._reserve()
+        m = self._map.parameters
+        project(
+            m.means, m.quats, m.log_scales, m.opacity_logits, m.colours,
+            m.identities if self._channels == 20 else None,
+            T_cw=T_cw, camera=self._intrinsics, count=self._map.count, out=self._splats,
+        )  # fmt: skip
         while True:
             try:
                 bin_splats(
@@ -150,14 +172,9 @@ class Renderer:
                 self._allocate_tiles(int(error.needed * _GROWTH))
 
     def _reserve(self) -> None:
-        """Make room for the map's capacity and, on CUDA, for the pairs of the last render."""
+        """Make room for the map's capacity."""
         capacity = self._map.capacity
         if capacity == self._capacity:
-            if not self._device.is_cpu:
-                # The device leaves out the farthest splats and says so; read one render late.
-                _, pairs, overflow = self.tiles.counts.numpy().tolist()
-                if overflow:
-                    self._allocate_tiles(int(pairs * _GROWTH))
             return
         self._capacity = capacity
         self._splats = allocate_splats(capacity, self._channels, device=self._device)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ggwarp.kernels.adam import adam_classifier
 from ggwarp.kernels.classify import classify_gaussians, classify_pixels
+from ggwarp.kernels.draws import draw_phase
 from ggwarp.kernels.identity import cross_entropy
 from ggwarp.kernels.identity_kl import neighbour_divergence
 from ggwarp.kernels.loss import OBJECT
@@ -65,10 +66,12 @@ class Classifier:
         self._map = gaussians
         self._device = gaussians.device
         self._seed = seed
-        self._rng = np.random.default_rng((seed, 1))
         self.codes = np.zeros((0, IDENTITY_SIZE), np.float32)
         self._rate = wp.array([config.rate], dtype=float, device=self._device)
-        self._neighbourhood = Neighbourhood(gaussians, samples=config.samples_3d, k=config.neighbours_3d + 1)
+        self._draws, self._phase = (wp.zeros(1, dtype=int, device=self._device) for _ in range(2))
+        self._neighbourhood = Neighbourhood(
+            gaussians, samples=config.samples_3d, k=config.neighbours_3d + 1, seed=seed
+        )
         self._image_workspace: Any = None
         self._allocate(config.classes)
         self.grow(1)
@@ -110,6 +113,9 @@ class Classifier:
             self._image_workspace = allocate_identity(
                 height, width, capacity=self._capacity, device=self._device
             )
+        draw_phase(
+            seed=self._seed, stride=c.row_stride, draws=self._draws, phase=self._phase, device=self._device
+        )
         cross_entropy(
             renderer.image,
             labels,
@@ -121,9 +127,9 @@ class Classifier:
             d_biases=self._d_biases,
             losses=losses,
             workspace=self._image_workspace,
+            phase=self._phase,
             weight=c.weight,
             stride=c.row_stride,
-            phase=int(self._rng.integers(c.row_stride)),
             device=self._device,
         )
 
@@ -132,7 +138,7 @@ class Classifier:
         c = self._config
         if self.count < 2 or c.weight_3d == 0.0 or iteration % c.interval_3d:
             return
-        self._neighbourhood.draw(self._rng)
+        self._neighbourhood.draw()
         neighbour_divergence(
             self._map.fields["identities"],
             samples=self._neighbourhood.samples,

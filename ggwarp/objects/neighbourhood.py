@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from ggwarp.kernels.draws import draw_points
 from ggwarp.kernels.neighbours import allocate_hash_grid, build_hash_grid, find_k_nearest
+from ggwarp.kernels.streams import to_host
 from ggwarp.map.gaussians import GaussianMap
 
 _SAMPLE = 10_000
@@ -18,12 +20,18 @@ class Neighbourhood:
     """A search grid over a map's centres, rebuilt when Gaussians came or went.
 
     Centres move by millimetres at most between rebuilds: the neighbours are those of the last one.
+
+    Attributes:
+        samples: [S] int, the Gaussians last drawn.
+        neighbours: [S, k] int, their nearest, themselves first.
     """
 
-    def __init__(self, gaussians: GaussianMap, *, samples: int, k: int) -> None:
+    def __init__(self, gaussians: GaussianMap, *, samples: int, k: int, seed: int) -> None:
         """Prepare to find the ``k`` nearest of ``samples`` Gaussians."""
         self._map = gaussians
         self._k = k
+        self._seed = seed
+        self._draws = 0
         self._version = -1
         self._grid: Any = None
         device = gaussians.device
@@ -33,12 +41,18 @@ class Neighbourhood:
         self.samples = wp.empty(samples, dtype=int, device=device)
         self.neighbours = wp.empty((samples, k), dtype=int, device=device)
 
-    def draw(self, rng: np.random.Generator) -> None:
-        """Fill ``samples`` [S] with random Gaussians and ``neighbours`` [S, k] with their nearest."""
+    def draw(self) -> None:
+        """Fill ``samples`` with random Gaussians and ``neighbours`` with their nearest."""
         self._rebuild()
-        drawn = rng.integers(self._map.count, size=self.samples.shape[0], dtype=np.int32)
-        self.samples.assign(drawn)
-        self._queries.assign(self._centres[drawn])
+        draw_points(
+            self._grid,
+            seed=self._seed,
+            draw=self._draws,
+            indices=self.samples,
+            points=self._queries,
+            device=self._map.device,
+        )
+        self._draws += 1
         find_k_nearest(
             self._grid,
             self._queries,
@@ -52,14 +66,14 @@ class Neighbourhood:
         if self._version == self._map.version:
             return
         self._version = self._map.version
-        means = self._map.fields["means"][: self._map.count]
-        self._centres = means.numpy().copy()
+        means: Any = self._map.fields["means"][: self._map.count]
         if self._grid is None or self._grid.points.shape[0] < self._map.count:
             self._grid = allocate_hash_grid(self._map.capacity, device=self._map.device)
-        build_hash_grid(self._grid, means, cell_size=self._cell_size(), device=self._map.device)
+        build_hash_grid(self._grid, means, cell_size=self._cell_size(means), device=self._map.device)
 
-    def _cell_size(self) -> float:
+    def _cell_size(self, means: Any) -> float:
         """Guess a cell that holds about ``k`` of the Gaussians, which lie on surfaces."""
-        sample = self._centres[:: max(1, len(self._centres) // _SAMPLE)]
+        n = means.shape[0]
+        sample = to_host(means[:: max(1, n // _SAMPLE)])
         low, high = np.quantile(sample, [0.1, 0.9], axis=0)
-        return max(float((high - low).max()) * (self._k / len(self._centres)) ** 0.5, 1e-3)
+        return max(float((high - low).max()) * (self._k / n) ** 0.5, 1e-3)

@@ -126,7 +126,7 @@ def _binned(splats: Splats, count: int, camera: Camera, device: Any) -> TileArra
             continue
         if device.is_cpu:
             return tiles
-        _, needed, overflow = tiles.counts.numpy().tolist()
+        _, needed, overflow, _ = tiles.counts.numpy().tolist()
         if not overflow:
             return tiles
         slots = needed

@@ -73,7 +73,7 @@ def allocate_tiles(count: int, slots: int, *, width: int, height: int, device: A
         slot_gaussians=ints(slots),
         pair_slots=ints(2 * slots),
         tile_ranges=wp.zeros(tiles_across(width) * tiles_across(height), dtype=wp.vec2i, device=device),
-        counts=ints(3),
+        counts=ints(4),
         depth_keys=_empty(2 * n, float, device),
         pair_counts=ints(n + 1),
         pair_tiles=ints(2 * slots),

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,8 +13,9 @@ import warp as wp
 from ggwarp.io.ply import PlyGaussians
 from ggwarp.kernels.adam import AdamRates, adam_gaussians
 from ggwarp.kernels.compact import flag_kept
-from ggwarp.kernels.loss import LOSS_COUNT, rgbd_loss
+from ggwarp.kernels.loss import DEPTH, DSSIM, L1, LOSS_COUNT, OBJECT, OBJECT_3D, add_total, rgbd_loss
 from ggwarp.kernels.math import vec16
+from ggwarp.kernels.streams import Backlog, to_host
 from ggwarp.map.gaussians import GaussianMap
 from ggwarp.map.renderer import Renderer
 from ggwarp.map.workspaces import allocate_loss
@@ -88,6 +90,9 @@ class Mapper:
         self._renderer = Renderer(self.map, camera)
         self._workspace = allocate_loss(camera.height, camera.width, device=self._device)
         self._losses = wp.zeros(LOSS_COUNT, dtype=float, device=self._device)
+        self._loss_weights = wp.array(_loss_weights(config), dtype=float, device=self._device)
+        self._totals = wp.zeros(2, dtype=wp.float64, device=self._device)
+        self._backlog = Backlog(self._device)
         self._rates = wp.array(config.rates.lanes(), dtype=vec16, device=self._device)
         self._keyframes: list[Keyframe] = []
         self._newest_pending = False
@@ -124,9 +129,10 @@ class Mapper:
         self.map.append(batch)
         self._keyframes.append(self._upload(frame, T_wc, classes))
         self._newest_pending = True
+        self._renderer.provide(self._keyframes[-1].T_cw)
 
-    def iterate(self) -> float:
-        """Fit the map to one keyframe once; return the loss."""
+    def iterate(self) -> None:
+        """Fit the map to one keyframe once; on CUDA, queue it: the host reads nothing."""
         keyframe = self._draw()
         self._renderer.forward(keyframe.T_cw)
         self._evaluate(keyframe)
@@ -134,15 +140,26 @@ class Mapper:
         if self.classifier is not None:
             self.classifier.evaluate_3d(self._renderer, self._losses, self._iterations)
         self._step()
+        add_total(self._losses, weights=self._loss_weights, totals=self._totals, device=self._device)
+        self._backlog.added()
         self._iterations += 1
         if self._iterations % self._config.prune_interval == 0:
             self._prune()
-        return self._total_loss()
+
+    def settle(self) -> float:
+        """Wait for the iterations since the last call; return their mean loss, NaN where there were none."""
+        total, count = to_host(self._totals).tolist()
+        self._totals.zero_()
+        self._renderer.make_room()
+        return total / count if count else math.nan
 
     def render(self, T_wc: Float64) -> Rendered:
         """Return the map's view from ``T_wc`` [4, 4]."""
         r = self._renderer
-        r.forward(r.pose_array(T_wc))
+        pose = r.pose_array(T_wc)
+        r.forward(pose)
+        if r.make_room():
+            r.forward(pose)
         image = r.plane(r.image)
         identity = objects = None
         opacity = np.float32(1.0) - r.plane(r.transmittance)
@@ -216,16 +233,8 @@ class Mapper:
             device=self._device,
         )
         self.map.keep(flags)
-
-    def _total_loss(self) -> float:
-        c = self._config
-        l1, dssim, depth, _, objects, objects_3d = self._losses.numpy().tolist()
-        return (
-            c.colour_weight * ((1.0 - c.dssim) * l1 + c.dssim * dssim)
-            + c.depth_weight * depth
-            + c.classifier.weight * objects
-            + c.classifier.weight_3d * objects_3d
-        )
+        # A refinement goes on for long without settling.
+        self._renderer.make_room()
 
     def _upload(self, frame: Frame, T_wc: Float64, classes: Any) -> Keyframe:
         return Keyframe(
@@ -235,3 +244,14 @@ class Mapper:
             depth=wp.array(frame.depth, dtype=float, device=self._device),
             labels=None if classes is None else wp.array(classes, dtype=int, device=self._device),
         )
+
+
+def _loss_weights(config: MapperConfig) -> list[float]:
+    """Return the weight of each entry of the losses in the total (GG-SLAM eq. 5)."""
+    weights = [0.0] * LOSS_COUNT
+    weights[L1] = config.colour_weight * (1.0 - config.dssim)
+    weights[DSSIM] = config.colour_weight * config.dssim
+    weights[DEPTH] = config.depth_weight
+    weights[OBJECT] = config.classifier.weight
+    weights[OBJECT_3D] = config.classifier.weight_3d
+    return weights

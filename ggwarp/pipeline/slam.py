@@ -9,6 +9,7 @@ frame goes from one to the other.
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 from dataclasses import dataclass, field
 from typing import Any
@@ -121,14 +122,16 @@ class Slam:
         started = time.perf_counter()
         if tracked.kind is not KeyframeKind.NONE:
             self._mapper.insert(tracked.frame, tracked.result.T_wc)
-        losses: list[float] = []
-        while self._mapper.ready and self._scheduler.wants_more(len(losses), waiting):
-            losses.append(self._mapper.iterate())
-        return self._report(tracked, losses, time.perf_counter() - started)
+        done = 0
+        while self._mapper.ready and self._scheduler.wants_more(done, waiting):
+            self._mapper.iterate()
+            done += 1
+        loss = self._mapper.settle()
+        return self._report(tracked, done, loss, time.perf_counter() - started)
 
     def leave_unmapped(self, tracked: Tracked) -> StepReport:
         """Report a frame that the map will never see: the run ends before its turn."""
-        return self._report(dataclasses.replace(tracked, kind=KeyframeKind.NONE), [], 0.0)
+        return self._report(dataclasses.replace(tracked, kind=KeyframeKind.NONE), 0, math.nan, 0.0)
 
     def skip_frame(self) -> None:
         """Let the time of a frame pass that cannot be used."""
@@ -165,7 +168,7 @@ class Slam:
             return self._tracker.start(frame, np.eye(4) if frame.T_wc is None else frame.T_wc)
         return self._tracker.track(frame, self._trackable.snapshot())
 
-    def _report(self, tracked: Tracked, losses: list[float], mapping_s: float) -> StepReport:
+    def _report(self, tracked: Tracked, iterations: int, loss: float, mapping_s: float) -> StepReport:
         frame, arrival, result, kind = tracked.frame, tracked.arrival, tracked.result, tracked.kind
         self.counts["frames_lost"] += result.verdict is Verdict.LOST
         if kind is not KeyframeKind.NONE:
@@ -181,9 +184,9 @@ class Slam:
             keyframe=kind.value,
             tracking_ms=1e3 * tracked.seconds,
             mapping_ms=1e3 * mapping_s,
-            mapping_iterations=len(losses),
+            mapping_iterations=iterations,
             gaussians=self.map.count,
-            loss=float(np.mean(losses)) if losses else float("nan"),
+            loss=loss,
             latency_ms=1e3 * (arrival.delay + tracked.seconds),
             late_ms=1e3 * arrival.delay if arrival.late else 0.0,
             frames_behind=arrival.behind,

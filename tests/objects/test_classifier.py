@@ -99,11 +99,11 @@ def test_a_view_without_labels_teaches_nothing(device: str, rng: np.random.Gener
 
 def test_neighbours_are_the_nearest(device: str, rng: np.random.Generator) -> None:
     gaussians = GaussianMap(device=device, has_identity=True)
-    neighbourhood = Neighbourhood(gaussians, samples=50, k=4)
+    neighbourhood = Neighbourhood(gaussians, samples=50, k=4, seed=1)
     for _ in range(2):  # the grid follows the map
         gaussians.append(wall(rng.normal(size=(2, 16)), rng))
         gaussians.fields["means"].assign(rng.normal(size=(gaussians.capacity, 3)).astype(np.float32))
-        neighbourhood.draw(rng)
+        neighbourhood.draw()
         means = gaussians.to_host()["means"].astype(np.float64)
         samples, found = neighbourhood.samples.numpy(), neighbourhood.neighbours.numpy()
         distances = np.linalg.norm(means[samples][:, None] - means[None], axis=2)

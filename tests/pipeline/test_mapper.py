@@ -33,11 +33,24 @@ def test_iterations_fit_the_map_to_its_keyframe(device: str, frame: Frame) -> No
     mapper.insert(frame, frame.T_wc)
     before = psnr(mapper, frame)
 
-    losses = [mapper.iterate() for _ in range(60)]
+    losses = [(mapper.iterate(), mapper.settle())[1] for _ in range(60)]
 
     assert mapper.keyframe_indices == [0]
     assert np.mean(losses[-10:]) < 0.6 * losses[0]
     assert psnr(mapper, frame) > before + 4.0
+
+
+def test_the_loss_of_several_iterations_is_their_mean(device: str, frame: Frame) -> None:
+    one, all_at_once = made(device), made(device)
+    assert frame.T_wc is not None
+    for mapper in (one, all_at_once):
+        mapper.insert(frame, frame.T_wc)
+        assert np.isnan(mapper.settle())
+    losses = [(one.iterate(), one.settle())[1] for _ in range(7)]
+    for _ in range(7):
+        all_at_once.iterate()
+    assert all_at_once.settle() == pytest.approx(np.mean(losses), rel=1e-12)
+    assert np.isnan(all_at_once.settle())
 
 
 def test_rendered_objects_are_the_masks_own_ids(device: str, frame: Frame) -> None:

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Meeting the device: reading results, and bounding the work that waits for it.
+
+On CUDA everything is queued on the device's current stream and the host runs ahead.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+
+def to_host(array: Any) -> np.ndarray:
+    """Return a copy of ``array`` as NumPy; waits for its device's current stream, and for no other.
+
+    ``array.numpy()`` copies on CUDA's default stream instead, which waits for every stream.
+    """
+    if array.device.is_cpu:
+        return array.numpy().copy()
+    host = wp.empty(array.shape, dtype=array.dtype, device="cpu")
+    wp.copy(host, array)
+    wp.synchronize_stream(array.device.stream)
+    return host.numpy()
+
+
+class Backlog:
+    """Keeps the host at most ``limit`` pieces of work ahead of the device.
+
+    Without it a loop that reads nothing back would queue work for seconds, and its clock would tell
+    nothing. On the CPU work is done when its launch returns: nothing to bound.
+    """
+
+    def __init__(self, device: Any, *, limit: int = 2) -> None:
+        self._device = wp.get_device(device)
+        self._events = [] if self._device.is_cpu else [wp.Event(self._device) for _ in range(limit)]
+        self._count = 0
+
+    def added(self) -> None:
+        """Note a piece queued on the current stream; wait for the one ``limit`` before it."""
+        if not self._events:
+            return
+        event = self._events[self._count % len(self._events)]
+        if self._count >= len(self._events):
+            wp.synchronize_event(event)
+        self._device.stream.record_event(event)
+        self._count += 1

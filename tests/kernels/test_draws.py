@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import warp as wp
+
+from ggwarp.kernels import draws, neighbours
+
+
+def phases(device: str, seed: int, count: int, stride: int = 4) -> np.ndarray:
+    done, phase = (wp.zeros(1, dtype=int, device=device) for _ in range(2))
+    drawn = []
+    for _ in range(count):
+        draws.draw_phase(seed=seed, stride=stride, draws=done, phase=phase, device=device)
+        drawn.append(int(phase.numpy()[0]))
+    assert done.numpy()[0] == count
+    return np.array(drawn)
+
+
+def test_phases_are_even_and_repeat(device):
+    drawn = phases(device, 3, 800)
+    counts = np.bincount(drawn, minlength=4)
+    assert len(counts) == 4 and (abs(counts - 200) < 60).all()  # five standard deviations
+    assert (drawn == phases(device, 3, 800)).all()
+    assert (drawn != phases(device, 4, 800)).any()
+    followers = np.bincount(4 * drawn[:-1] + drawn[1:], minlength=16)
+    assert (abs(followers - 50) < 35).all()
+
+
+def points(device: str, xyz: np.ndarray, draw: int, m: int) -> tuple[np.ndarray, np.ndarray]:
+    grid = neighbours.allocate_hash_grid(len(xyz) + 5, device=device)
+    neighbours.build_hash_grid(
+        grid, wp.array(xyz, dtype=wp.vec3, device=device), cell_size=0.3, device=device
+    )
+    indices = wp.empty(m, dtype=int, device=device)
+    positions = wp.empty(m, dtype=wp.vec3, device=device)
+    draws.draw_points(grid, seed=7, draw=draw, indices=indices, points=positions, device=device)
+    return indices.numpy(), positions.numpy()
+
+
+def test_points_are_drawn_evenly_with_their_positions(device, rng):
+    xyz = rng.normal(size=(40, 3)).astype(np.float32)
+    indices, positions = points(device, xyz, 0, 4000)
+    assert (xyz[indices] == positions).all()
+    counts = np.bincount(indices, minlength=40)
+    assert len(counts) == 40 and (abs(counts - 100) < 50).all()
+    assert (points(device, xyz, 0, 4000)[0] == indices).all()
+    assert (points(device, xyz, 1, 4000)[0] != indices).mean() > 0.9
+
+
+def test_a_single_point_is_always_drawn(device):
+    indices, _ = points(device, np.zeros((1, 3), np.float32), 2**20, 5000)
+    assert not indices.any()
