@@ -104,8 +104,11 @@ def _candidates(seq: str, root: Path) -> list[Path]:
 def _built_in(masks: Masks) -> Dataset:
     from ggwarp.datasets.synthetic import SyntheticOffice
 
+    office = SyntheticOffice()
     if masks is None:
-        return SyntheticOffice()
+        return office
     if str(masks) == "none":
-        return WithoutMasks(SyntheticOffice())
-    raise DatasetError(f"{masks}: the built-in office brings its own masks; leave --masks out, or pass none")
+        return WithoutMasks(office)
+    from ggwarp.datasets.masks import WithMasks, open_masks
+
+    return WithMasks(office, open_masks(Path(masks), office.stems))

@@ -53,6 +53,7 @@ class MaskFaults:
         dropped: share of object-frames without a mask.
         swapped: share of object-frames that carry the id of another object in view.
         shuffled: ids are drawn anew in every frame, so they say nothing across frames.
+        missing: share of frames without any mask.
         seed: of all the randomness.
     """
 
@@ -62,6 +63,7 @@ class MaskFaults:
     dropped: float = 0.0
     swapped: float = 0.0
     shuffled: bool = False
+    missing: float = 0.0
     seed: int = 0
 
 
@@ -145,8 +147,8 @@ def relabelled(mask: Ids, names: dict[int, int]) -> Ids:
     return table[mask]
 
 
-def faulty_mask(mask: Ids, faults: MaskFaults, index: int, ids: Ids) -> Ids:
-    """Return a frame's mask with its faults.
+def faulty_mask(mask: Ids, faults: MaskFaults, index: int, ids: Ids) -> Ids | None:
+    """Return a frame's mask with its faults; None where it goes missing.
 
     Args:
         mask: [h, w] true ids.
@@ -154,6 +156,8 @@ def faulty_mask(mask: Ids, faults: MaskFaults, index: int, ids: Ids) -> Ids:
         index: the frame's index.
         ids: all ids of the sequence.
     """
+    if np.random.default_rng([faults.seed, 3, index]).random() < faults.missing:
+        return None
     rng = np.random.default_rng([faults.seed, 2, index])
     seen = np.unique(mask[mask > 0])
     dice = rng.random((2, seen.size))

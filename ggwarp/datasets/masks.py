@@ -14,15 +14,17 @@ import logging
 import struct
 import zlib
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ggwarp.datasets.base import DatasetError, FrameError, Masks
+from ggwarp.datasets.base import Dataset, DatasetError, FrameError, Masks, at_scale
 from ggwarp.datasets.images import PNG_SIGNATURE, decode, png_chunks, read_bytes
 from ggwarp.datasets.resize import resize_nearest
+from ggwarp.types import Camera, Frame
 
 log = logging.getLogger(__name__)
 
@@ -74,6 +76,38 @@ class MaskFolder:
         return ids
 
 
+class WithMasks:
+    """A data set as it is, but with the masks of a folder."""
+
+    has_masks = True
+
+    def __init__(self, dataset: Dataset, masks: MaskFolder, *, drawn_for: Camera | None = None) -> None:
+        """Join them.
+
+        Args:
+            drawn_for: the camera whose size the masks should have; default: the data set's.
+        """
+        self.name, self.kind, self.camera = dataset.name, dataset.kind, dataset.camera
+        self.has_depth = dataset.has_depth
+        self.inner = dataset
+        self.class_names: dict[int, str] = getattr(dataset, "class_names", {})
+        self._masks = masks
+        self._drawn_for = drawn_for or dataset.camera
+
+    def __len__(self) -> int:
+        return len(self.inner)
+
+    def __getitem__(self, index: int) -> Frame:
+        mask = self._masks.read(index, self._drawn_for.width, self._drawn_for.height)
+        if mask is not None:
+            mask = resize_nearest(mask, self.camera.width, self.camera.height)
+        return replace(self.inner[index], mask=mask)
+
+    def scaled(self, scale: float) -> WithMasks:
+        """Return the same with frames of ``scale`` times the size, where the data set renders them."""
+        return WithMasks(at_scale(self.inner, scale), self._masks, drawn_for=self._drawn_for)
+
+
 def find_masks(sequence: Path, stems: Sequence[str], masks: Masks = None) -> MaskFolder | None:
     """Find the masks of a sequence.
 
@@ -86,26 +120,50 @@ def find_masks(sequence: Path, stems: Sequence[str], masks: Masks = None) -> Mas
     Raises:
         DatasetError: a folder was named, but has no mask of any frame.
     """
-    if masks is None:
-        folders = [sequence / name for name in MASK_FOLDERS]
-    elif str(masks) == "none":
-        return None
-    else:
-        given = Path(masks)
-        if not given.is_dir():
-            raise DatasetError(
-                f"{given}: no such folder; --masks names a folder of <image stem>.png, or none"
-            )
-        folders = [given, *(given / name for name in MASK_FOLDERS)]
+    if masks is not None:
+        return None if str(masks) == "none" else open_masks(Path(masks), stems)
+    return _first_with_masks([sequence / name for name in MASK_FOLDERS], stems)
+
+
+def open_masks(given: Path, stems: Sequence[str]) -> MaskFolder:
+    """Open a folder that holds ``<stem>.png``, or ``object_mask/`` or ``Annotations/`` that does.
+
+    Raises:
+        DatasetError: it is no folder, or has no mask of any frame.
+    """
+    if not given.is_dir():
+        raise DatasetError(f"{given}: no such folder; --masks names a folder of <image stem>.png, or none")
+    found = _first_with_masks([given, *(given / name for name in MASK_FOLDERS)], stems)
+    if found is None:
+        example = f"{stems[0]}.png" if stems else "<image stem>.png"
+        raise DatasetError(
+            f"{given}: holds no mask of any frame; masks are named as the images, such as {example}"
+        )
+    return found
+
+
+def _first_with_masks(folders: list[Path], stems: Sequence[str]) -> MaskFolder | None:
     for folder in folders:
         if folder.is_dir() and (found := MaskFolder(folder, stems)).count:
             return found
-    if masks is not None:
-        example = f"{stems[0]}.png" if stems else "<image stem>.png"
-        raise DatasetError(
-            f"{masks}: holds no mask of any frame; masks are named as the images, such as {example}"
-        )
     return None
+
+
+def write_mask(path: Path, ids: NDArray[np.int32]) -> None:
+    """Write object ids [h, w] as ``object_mask/`` has them; RGB-coded where 16 bits do not hold them.
+
+    Raises:
+        OSError: the file cannot be written.
+        ValueError: an id is negative, or above 2^24 - 1.
+    """
+    largest = int(ids.max(initial=0))
+    if ids.min(initial=0) < 0 or largest >= 1 << 24:
+        raise ValueError(f"{path}: ids {ids.min()} to {largest}; a mask holds 0 to {(1 << 24) - 1}")
+    if largest < 1 << 16:
+        image = ids.astype(np.uint8 if largest < 1 << 8 else np.uint16)
+    else:
+        image = np.stack([ids >> 16, (ids >> 8) & 255, ids & 255], axis=2).astype(np.uint8)  # BGR
+    path.write_bytes(cv2.imencode(".png", image)[1].tobytes())
 
 
 def read_mask(path: Path) -> NDArray[np.int32]:

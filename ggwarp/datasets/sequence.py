@@ -67,7 +67,9 @@ class FileSequence:
         self._entries = list(entries)
         self._scale = calibration.depth_scale
         self._undistort = _Undistortion(calibration) if calibration.distortion else None
-        self._masks = find_masks(root, [entry.rgb.stem for entry in entries], masks)
+        self.stems = [entry.rgb.stem for entry in entries]
+        """Each frame's name, as its mask has it."""
+        self._masks = find_masks(root, self.stems, masks)
         self.has_depth = any(entry.depth for entry in entries)
         self.has_masks = self._masks is not None
         self._probe()

@@ -87,6 +87,11 @@ class SyntheticOffice:
     def __len__(self) -> int:
         return len(self.trajectory)
 
+    @property
+    def stems(self) -> list[str]:
+        """Each frame's name, as its mask has it in a folder of masks."""
+        return [f"frame{index:06d}" for index in range(len(self))]
+
     def scaled(self, scale: float) -> SyntheticOffice:
         """Return the same office seen by a camera of ``scale`` times the size."""
         other = copy.copy(self)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from ggwarp.datasets import DatasetError, FrameError, open_dataset
-from ggwarp.datasets.masks import find_masks, read_mask
+from ggwarp.datasets.masks import find_masks, read_mask, write_mask
 from ggwarp.datasets.replica import open_sequence
 
 Maker = Callable[..., Path]
@@ -59,6 +59,19 @@ def test_rgb_codes_the_id_red_lowest(tmp_path: Path, sample: SimpleNamespace) ->
     np.testing.assert_array_equal(read_mask(sample.save(tmp_path / "m.png", bgr)), ids)
     opaque = np.concatenate([bgr, np.full((2, 4, 1), 255, np.uint8)], axis=-1)
     np.testing.assert_array_equal(read_mask(sample.save(tmp_path / "m4.png", opaque)), ids)
+
+
+@pytest.mark.parametrize("largest", [0, 255, 256, 65535, 65536, (1 << 24) - 1])
+def test_what_is_written_is_read(tmp_path: Path, largest: int) -> None:
+    ids = np.array([[0, largest // 3, largest], [largest // 2, 0, largest // 7]], np.int32)
+    write_mask(tmp_path / "m.png", ids)
+    np.testing.assert_array_equal(read_mask(tmp_path / "m.png"), ids)
+
+
+def test_ids_that_no_mask_holds_are_refused(tmp_path: Path) -> None:
+    for ids in ([[-1]], [[1 << 24]]):
+        with pytest.raises(ValueError, match="a mask holds 0 to"):
+            write_mask(tmp_path / "m.png", np.array(ids, np.int32))
 
 
 @pytest.mark.parametrize(("bits", "modulus"), [(8, 256), (4, 16), (2, 4), (1, 2)])

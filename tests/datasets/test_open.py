@@ -6,9 +6,12 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from ggwarp.datasets import KINDS, Dataset, DatasetError, Kind, open_dataset, register
+from ggwarp.datasets.base import at_scale
+from ggwarp.datasets.masks import write_mask
 from ggwarp.datasets.tum import full_name
 
 Maker = Callable[..., Path]
@@ -64,8 +67,20 @@ def test_the_built_in_office_needs_no_data(tmp_path: Path, seq: str) -> None:
 def test_the_built_in_office_goes_without_masks_when_told(tmp_path: Path) -> None:
     dataset = open_dataset("office", data_root=tmp_path, masks="none")
     assert not dataset.has_masks and isinstance(dataset, Dataset)
-    with pytest.raises(DatasetError, match="brings its own masks"):
+    with pytest.raises(DatasetError, match=r"no mask of any frame; .* such as frame000000.png"):
         open_dataset("office", data_root=tmp_path, masks=tmp_path)
+
+
+def test_the_built_in_office_takes_masks_of_a_folder(tmp_path: Path) -> None:
+    ids = np.zeros((680, 1200), np.int32)
+    ids[:, 600:] = 99
+    write_mask(tmp_path / "frame000001.png", ids)
+    dataset = at_scale(open_dataset("office", data_root=tmp_path, masks=tmp_path), 0.05)
+    assert isinstance(dataset, Dataset) and dataset.kind == "synthetic" and dataset.camera.width == 60
+    mask = dataset[1].mask
+    assert mask is not None and mask.shape == (34, 60)
+    assert (mask[:, :30] == 0).all() and (mask[:, 30:] == 99).all()
+    assert dataset[0].mask is None and dataset[0].rgb.shape == (34, 60, 3)
 
 
 def test_replicas_office0_goes_before_the_built_in_one(make_replica: Maker, tmp_path: Path) -> None:

@@ -254,6 +254,12 @@ def test_dropped_and_swapped_object_frames(views):
     assert swapped / total == pytest.approx(0.2, abs=0.05)
 
 
+def test_a_share_of_the_frames_has_no_mask():
+    gone = [m is None for m in _masks(missing=0.3)]
+    assert gone == [m is None for m in _masks(missing=0.3, dots=0.1)]
+    assert 3 <= sum(gone) <= 15
+
+
 def test_shuffled_ids_keep_the_regions(views):
     masks = _masks(shuffled=True)
     assert not np.array_equal(masks[0], views[0].mask)

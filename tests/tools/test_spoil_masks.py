@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""tools/spoil_masks.py: what it writes is what a run reads, and the same every time."""
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from ggwarp.datasets.faults import MaskFaults, faulty_mask
+from ggwarp.datasets.masks import read_mask, write_mask
+
+
+@pytest.fixture(scope="module")
+def tool() -> ModuleType:
+    path = Path(__file__).parents[2] / "tools/spoil_masks.py"
+    spec = importlib.util.spec_from_file_location("spoil_masks", path)
+    assert spec and spec.loader
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def clean(tmp_path: Path) -> Path:
+    folder = tmp_path / "seq" / "object_mask"
+    folder.mkdir(parents=True)
+    mask = np.zeros((40, 60), np.int32)
+    mask[5:30, 5:25], mask[10:35, 30:55] = 7, 300
+    for i in range(30):
+        write_mask(folder / f"frame{i:04d}.png", mask)
+    return folder
+
+
+OPTIONS = ["--dots", "0.05", "--ragged", "3", "--missing", "0.2", "--swapped", "0.1", "--seed", "4"]
+
+
+@pytest.mark.parametrize("source", ["masks", "sequence"])
+def test_writes_the_faults_of_the_data_sets(
+    tool: ModuleType, clean: Path, tmp_path: Path, source: str
+) -> None:
+    given = clean if source == "masks" else clean.parent
+    out = tmp_path / "out"
+    assert tool.main([str(given), str(out), *OPTIONS]) == 0
+    faults = MaskFaults(dots=0.05, ragged=3, missing=0.2, swapped=0.1, seed=4)
+    written = {path.stem for path in out.iterdir()}
+    assert 18 <= len(written) < 30
+    for i, path in enumerate(sorted(clean.iterdir())):
+        want = faulty_mask(read_mask(path), faults, i, np.array([7, 300], np.int32))
+        assert (want is None) == (path.stem not in written)
+        if want is not None:
+            np.testing.assert_array_equal(read_mask(out / path.name), want)
+
+
+def test_says_what_is_wrong(tool: ModuleType, clean: Path, tmp_path: Path, capsys) -> None:
+    assert tool.main([str(clean), str(clean)]) == 2
+    assert "is not empty" in capsys.readouterr().err
+    assert tool.main([str(tmp_path / "absent"), str(tmp_path / "out")]) == 2
+    assert "no such sequence" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        tool.main([str(clean), str(tmp_path / "out"), "--dots", "5"])
