@@ -43,13 +43,22 @@ INTERRUPTED = 130
 
 RESULTS = {
     "trajectory": ["frames", "frames_lost", "frames_skipped", "ate_rmse_cm", "ate_mean_cm", "rpe_rmse_cm"],
-    "picture, all frames": ["psnr", "ssim", "lpips", "depth_l1_cm", "miou"],
+    "picture, all frames": ["psnr", "ssim", "lpips", "depth_l1_cm"],
     "picture, held-out frames": [
         "heldout_psnr",
         "heldout_ssim",
         "heldout_lpips",
         "heldout_depth_l1_cm",
+    ],
+    "objects": [
+        "miou",
         "heldout_miou",
+        "miou_matched",
+        "miou_interior",
+        "pq",
+        "objects_true",
+        "objects_found",
+        "miou_against",
     ],
     "map": [
         "gaussians",

@@ -25,7 +25,7 @@ from ggwarp.pipeline.steps import SideError, run_steps
 from ggwarp.types import Frame, Rendered, StepReport, Verdict
 
 _KEPT_BYTES = 1 << 29  # frames held for the evaluation instead of being read again
-_FRAME_BYTES = 3 + 4 + 4  # a pixel's colour, depth and mask
+_FRAME_BYTES = 3 + 4 + 4 + 4  # a pixel's colour, depth, mask and true mask
 
 
 class Interruption:
@@ -191,6 +191,7 @@ def save(slam: Slam, record: report.RunRecord, folder: Path, started: float) -> 
     arrays = slam.map_arrays()
     report.write_map(folder, arrays, record.class_names)
     report.write_frames(folder, record)
+    report.write_object_scores(folder, record)
     metrics = report.metrics_of(record, wall_s=time.perf_counter() - started, gaussians=len(arrays))
     report.write_metrics(folder, metrics)
     return metrics

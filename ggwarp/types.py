@@ -67,6 +67,8 @@ class Frame:
         sensor_depth: [H, W] float32 metres, depth at the sensor's own resolution (tracking
             uses it whatever the image scale); None: same as ``depth``.
         depth_timestamp: seconds, when the depth was taken; None: together with the colour.
+        true_mask: [h, w] int32 true object ids, where the data set knows them apart from ``mask``. For
+            evaluation alone: never read by tracking or mapping.
     """
 
     index: int
@@ -77,6 +79,7 @@ class Frame:
     T_wc: Float64 | None = None
     sensor_depth: Float32 | None = None
     depth_timestamp: float | None = None
+    true_mask: NDArray[np.int32] | None = None
 
 
 class Verdict(Enum):

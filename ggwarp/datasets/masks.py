@@ -149,6 +149,19 @@ def _first_with_masks(folders: list[Path], stems: Sequence[str]) -> MaskFolder |
     return None
 
 
+def find_true_masks(sequence: Path, stems: Sequence[str], given: MaskFolder | None) -> MaskFolder | None:
+    """Find the masks beside the images where ``given`` are others: what those are measured against.
+
+    Args:
+        sequence, stems: as for :func:`find_masks`.
+        given: the masks in use; None: none, and so nothing to measure.
+    """
+    own = None if given is None else find_masks(sequence, stems)
+    if given is None or own is None or own.folder.resolve() == given.folder.resolve():
+        return None
+    return own
+
+
 def write_mask(path: Path, ids: NDArray[np.int32]) -> None:
     """Write object ids [h, w] as ``object_mask/`` has them; RGB-coded where 16 bits do not hold them.
 

@@ -126,11 +126,15 @@ def resized(frame: Frame, camera: Camera) -> Frame:
     if frame.rgb.shape[:2] == (camera.height, camera.width):
         return frame
     rgb = cv2.resize(frame.rgb, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
-    depth, mask = frame.depth, frame.mask
+    depth, mask, truth = frame.depth, frame.mask, frame.true_mask
+    small = None if mask is None else resize_nearest(mask, camera.width, camera.height)
+    if truth is not None:
+        truth = small if truth is mask else resize_nearest(truth, camera.width, camera.height)
     return replace(
         frame,
         rgb=np.asarray(rgb, np.uint8),
         depth=None if depth is None else reduce_depth(depth, camera.width, camera.height),
-        mask=None if mask is None else resize_nearest(mask, camera.width, camera.height),
+        mask=small,
         sensor_depth=depth,
+        true_mask=truth,
     )

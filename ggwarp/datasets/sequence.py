@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ggwarp.datasets.base import DatasetError, FrameError, Masks
 from ggwarp.datasets.calibration import Calibration
 from ggwarp.datasets.images import COLOUR_SUFFIXES, read_colour, read_depth
-from ggwarp.datasets.masks import find_masks
+from ggwarp.datasets.masks import find_masks, find_true_masks
 from ggwarp.types import Camera, Float32, Float64, Frame
 
 
@@ -70,6 +70,7 @@ class FileSequence:
         self.stems = [entry.rgb.stem for entry in entries]
         """Each frame's name, as its mask has it."""
         self._masks = find_masks(root, self.stems, masks)
+        self._true_masks = find_true_masks(root, self.stems, self._masks)
         self.has_depth = any(entry.depth for entry in entries)
         self.has_masks = self._masks is not None
         self._probe()
@@ -90,8 +91,10 @@ class FileSequence:
             )
         depth = self._depth(entry)
         mask = self._masks.read(index, width, height) if self._masks else None
+        truth = self._true_masks.read(index, width, height) if self._true_masks else None
         if self._undistort:
-            rgb, mask = self._undistort.colour(rgb), self._undistort.labels(mask)
+            rgb = self._undistort.colour(rgb)
+            mask, truth = self._undistort.labels(mask), self._undistort.labels(truth)
             if depth is not None:
                 depth = np.where(self._undistort.seen, depth, np.float32(0.0))
         return Frame(
@@ -102,6 +105,7 @@ class FileSequence:
             mask,
             entry.T_wc,
             depth_timestamp=entry.depth_timestamp,
+            true_mask=truth,
         )
 
     def _depth(self, entry: Entry) -> Float32 | None:

@@ -29,9 +29,9 @@ _BARE_VIEW = (1.35, 1.20, 1.40)
 class SyntheticOffice:
     """A room of 5.0 x 4.0 x 2.7 m with 48 objects, seen along one loop that ends where it began.
 
-    Frames carry exact z-depth at pixel centres, the ids of :attr:`class_names` at every pixel
-    (structure included) and the true pose. A frame depends on its index and the options alone.
-    Indexing is safe from several threads at once.
+    Frames carry exact z-depth at pixel centres, the ids of :attr:`class_names` at every pixel (structure
+    included; faults are the mask's alone, not the true mask's) and the true pose. A frame depends on its
+    index and the options alone. Indexing is safe from several threads at once.
     """
 
     name = "office"
@@ -111,6 +111,7 @@ class SyntheticOffice:
             depth=faulty_depth(depth, self.faults, index, self.camera),
             mask=faulty_mask(mask, self.mask_faults, index, self.ids),
             T_wc=T_wc.copy(),
+            true_mask=mask,
         )
 
     def render(self, T_wc: Float64) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -8,14 +8,18 @@ pose, is rendered there and counts like any other.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from typing import Literal
 
 import numpy as np
 
 from ggwarp.evaluation import image
-from ggwarp.evaluation.objects import ObjectScore
+from ggwarp.evaluation.objects import ObjectFigures, ObjectRow, ObjectScore
 from ggwarp.types import Float32, Float64, Frame, Rendered
+
+Reference = Literal["truth", "given"]
 
 _MEASURES = ("psnr", "ssim", "lpips", "depth_l1_cm")
 
@@ -39,13 +43,14 @@ class FrameScore:
 
 
 @dataclass(frozen=True)
-class Scores:
-    """Means over one protocol's frames; None = not measured.
+class Scores(ObjectFigures):
+    """One protocol's figures; None = not measured.
 
     Attributes:
-        frames: how many frames the means are over.
+        frames: how many frames they are over.
         psnr, ssim, lpips, depth_l1_cm: means of the frames' own.
-        miou, pixel_accuracy: of object ids, accumulated over the frames' pixels.
+
+    The objects' figures are accumulated over the frames' pixels.
     """
 
     frames: int = 0
@@ -53,17 +58,23 @@ class Scores:
     ssim: float | None = None
     lpips: float | None = None
     depth_l1_cm: float | None = None
-    miou: float | None = None
-    pixel_accuracy: float | None = None
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Both protocols and what they were computed from."""
+    """Both protocols and what they were computed from.
+
+    Attributes:
+        miou_against: what objects were compared with: the true masks, where the data set knows them
+            for any frame, else those given to the mapper; None: nothing.
+        objects: a row for every true object, over all frames.
+    """
 
     all_frames: Scores = field(default_factory=Scores)
     held_out: Scores = field(default_factory=Scores)
     per_frame: list[FrameScore] = field(default_factory=list)
+    miou_against: Reference | None = None
+    objects: list[ObjectRow] = field(default_factory=list)
 
 
 def evaluate(
@@ -87,22 +98,28 @@ def evaluate(
     """
     used = set(mapped)
     scores: list[FrameScore] = []
-    objects = {False: ObjectScore(), True: ObjectScore()}
+    objects: dict[tuple[Reference, bool], ObjectScore] = defaultdict(ObjectScore)
     for frame in frames:
         if frame.index not in poses:
             continue
         view = render(poses[frame.index])
         score = _score(frame, view, frame.index not in used, lpips)
         scores.append(score)
-        if frame.mask is not None and view.objects is not None:
-            objects[score.held_out].add(view.objects, frame.mask)
+        reference: Reference = "given" if frame.true_mask is None else "truth"
+        mask = frame.mask if frame.true_mask is None else frame.true_mask
+        if mask is not None and view.objects is not None:
+            objects[reference, score.held_out].add(view.objects, mask)
         if on_view is not None:
             on_view(frame, view, score)
-    held_out = [s for s in scores if s.held_out]
+    # Frames whose truth is not known count only where that of no frame is.
+    against: Reference = "truth" if any(r == "truth" for r, _ in objects) else "given"
+    all_objects = objects[against, False] + objects[against, True]
     return Evaluation(
-        all_frames=_summary(scores, objects[False] + objects[True]),
-        held_out=_summary(held_out, objects[True]),
+        all_frames=_summary(scores, all_objects),
+        held_out=_summary([s for s in scores if s.held_out], objects[against, True]),
         per_frame=scores,
+        miou_against=against if all_objects else None,
+        objects=all_objects.table(),
     )
 
 
@@ -126,4 +143,4 @@ def _summary(scores: list[FrameScore], objects: ObjectScore) -> Scores:
     for name in _MEASURES:
         values = [v for v in (getattr(s, name) for s in scores) if v is not None]
         means[name] = float(np.mean(values)) if values else None
-    return Scores(frames=len(scores), miou=objects.mean_iou(), pixel_accuracy=objects.accuracy(), **means)
+    return Scores(frames=len(scores), **means, **asdict(objects.figures()))

@@ -2,13 +2,11 @@
 """The run folder: what a run leaves, file by file.
 
 ``trajectory.txt``, ``trajectory_gt.txt``, ``map.ply``, ``objects.json``, ``metrics.json``,
-``frames.csv`` and ``renders/``; the command adds ``config.toml``.
+``frames.csv``, ``object_scores.csv`` and ``renders/``; the command adds ``config.toml``.
 """
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 import os
@@ -25,6 +23,7 @@ from ggwarp.evaluation.evaluate import Evaluation, Scores
 from ggwarp.evaluation.trajectory import TrajectoryError, absolute_error, relative_error
 from ggwarp.io.atomic import atomic_write
 from ggwarp.io.ply import PlyGaussians, write_ply
+from ggwarp.io.table import write_table
 from ggwarp.io.trajectory import write_tum
 from ggwarp.objects.inventory import inventory
 from ggwarp.types import Float64, StepReport
@@ -37,6 +36,7 @@ OUTPUTS = (
     "objects.json",
     "metrics.json",
     "frames.csv",
+    "object_scores.csv",
 )
 """The files of a run folder, renders aside."""
 
@@ -64,6 +64,25 @@ FRAME_COLUMNS: tuple[str, ...] = (
     "depth_l1_cm",
 )
 """Columns of ``frames.csv``; empty = not measured."""
+
+
+_IMAGE_FIGURES = (
+    *("psnr", "ssim", "lpips", "depth_l1_cm"),
+    *("miou", "miou_matched", "miou_interior", "pixel_accuracy"),
+)
+_OBJECT_FIGURES = ("pq", "sq", "rq", "objects_true", "objects_found")  # of all frames alone
+
+OBJECT_COLUMNS: tuple[str, ...] = (
+    "id",
+    "name",
+    "pixels",
+    "rendered_pixels",
+    "iou",
+    "iou_interior",
+    "matched_id",
+    "iou_matched",
+)
+"""Columns of ``object_scores.csv``, see :class:`ggwarp.evaluation.objects.ObjectRow`."""
 
 
 @dataclass
@@ -164,12 +183,13 @@ def write_frames(folder: Path, record: RunRecord) -> None:
             row |= {name: getattr(score, name) for name in FRAME_COLUMNS if hasattr(score, name)}
             row["held_out"] = int(score.held_out)
         rows[r.index] = row
-    text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, FRAME_COLUMNS, restval="")
-    writer.writeheader()
-    for index in sorted(rows):
-        writer.writerow({k: _cell(v) for k, v in rows[index].items()})
-    _write(folder / "frames.csv", text.getvalue())
+    write_table(folder / "frames.csv", FRAME_COLUMNS, [rows[index] for index in sorted(rows)])
+
+
+def write_object_scores(folder: Path, record: RunRecord) -> None:
+    """Write ``object_scores.csv``: a row for every true object, none where objects were not compared."""
+    rows = [vars(r) | {"name": record.class_names.get(r.id)} for r in record.evaluation.objects]
+    write_table(folder / "object_scores.csv", OBJECT_COLUMNS, rows)
 
 
 def write_metrics(folder: Path, metrics: Mapping[str, Any]) -> None:
@@ -206,8 +226,9 @@ def metrics_of(record: RunRecord, *, wall_s: float, gaussians: int) -> dict[str,
         "ate_rmse_cm": None if ate is None else 100.0 * ate.rmse,
         "ate_mean_cm": None if ate is None else 100.0 * ate.mean,
         "rpe_rmse_cm": None if rpe is None else 100.0 * rpe.rmse,
-        **_image_metrics(record.evaluation.all_frames, ""),
-        **_image_metrics(record.evaluation.held_out, "heldout_"),
+        **_figures(record.evaluation.all_frames, (*_IMAGE_FIGURES, *_OBJECT_FIGURES)),
+        **_figures(record.evaluation.held_out, _IMAGE_FIGURES, "heldout_"),
+        "miou_against": record.evaluation.miou_against,
         "heldout_frames": record.evaluation.held_out.frames if record.evaluation.per_frame else None,
         "gaussians": gaussians,
         "tracking_keyframes": record.counts.get("tracking_keyframes", 0),
@@ -229,8 +250,7 @@ def peak_memory_mb() -> float | None:
     return peak / (1 << 20 if sys.platform == "darwin" else 1 << 10)
 
 
-def _image_metrics(scores: Scores, prefix: str) -> dict[str, float | None]:
-    names = ("psnr", "ssim", "lpips", "depth_l1_cm", "miou", "pixel_accuracy")
+def _figures(scores: Scores, names: tuple[str, ...], prefix: str = "") -> dict[str, float | int | None]:
     return {prefix + name: getattr(scores, name) for name in names}
 
 
@@ -256,12 +276,6 @@ def _mean(values: Iterable[float]) -> float | None:
 
 def _percentile(values: list[float], percent: float) -> float | None:
     return float(np.percentile(values, percent)) if values else None
-
-
-def _cell(value: Any) -> Any:
-    if isinstance(value, float):
-        return f"{value:.6f}" if math.isfinite(value) else ""
-    return "" if value is None else value
 
 
 def _write_json(path: Path, value: Any) -> None:

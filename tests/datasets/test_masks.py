@@ -109,6 +109,20 @@ def test_masks_named_by_the_user_go_before_those_beside(
     assert mask is not None and (mask == 2).all()
 
 
+def test_masks_beside_are_the_truth_of_others(
+    make_replica: Maker, sample: SimpleNamespace, tmp_path: Path
+) -> None:
+    scene, ids = make_replica(), np.zeros((16, 24), np.uint8)
+    sample.save(scene / "object_mask/frame000000.png", ids + 1)
+    for i in range(2):
+        sample.save(tmp_path / f"mine/frame00000{i}.png", ids + 2)
+    dataset = open_sequence(scene, tmp_path / "mine")
+    truth = dataset[0].true_mask
+    assert truth is not None and (truth == 1).all() and dataset[1].true_mask is None
+    for masks in (None, "none", scene, scene / "object_mask"):
+        assert open_sequence(scene, masks)[0].true_mask is None
+
+
 def test_masks_can_be_left_out(make_replica: Maker, sample: SimpleNamespace) -> None:
     scene = make_replica(1)
     sample.save(scene / "object_mask/frame000000.png", np.ones((16, 24), np.uint8))

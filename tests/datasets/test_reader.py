@@ -114,6 +114,20 @@ def test_a_scale_resamples_each_in_its_way(make_replica: Maker, sample: SimpleNa
     np.testing.assert_array_equal(frame.sensor_depth, native.depth)
 
 
+def test_a_scale_resamples_the_true_mask_like_the_given_one(
+    make_replica: Maker, sample: SimpleNamespace, tmp_path: Path
+) -> None:
+    scene = make_replica(1)
+    ids = (np.arange(16 * 24).reshape(16, 24) % 200).astype(np.uint8)
+    sample.save(scene / "object_mask/frame000000.png", ids)
+    sample.save(tmp_path / "mine/frame000000.png", ids + 1)
+    with FrameReader(open_sequence(scene, tmp_path / "mine"), [0], scale=0.5) as reader:
+        (frame,) = reader
+    assert isinstance(frame, Frame)
+    np.testing.assert_array_equal(frame.mask, ids[1::2, 1::2] + 1)
+    np.testing.assert_array_equal(frame.true_mask, ids[1::2, 1::2])
+
+
 @pytest.mark.parametrize("scale", [0.0, -1.0, 1.5, float("nan")])
 def test_a_scale_out_of_range_is_refused(scale: float) -> None:
     with pytest.raises(DatasetError, match="scale"):

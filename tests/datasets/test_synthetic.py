@@ -220,6 +220,13 @@ def test_colour_noise_and_exposure(office):
     assert gains[0] == 1.0 and gains[1] > 1.1 and abs(gains[2] - 1.0) < 0.02 and gains[3] < 0.85
 
 
+def test_faults_leave_the_true_mask_alone(views) -> None:
+    broken = SyntheticOffice(scale=SCALE, mask_faults=MaskFaults(0.02, 2, 1.5, 0.1, 0.1, True))[0]
+    np.testing.assert_array_equal(broken.true_mask, views[0].mask)
+    np.testing.assert_array_equal(views[0].true_mask, views[0].mask)
+    assert not np.array_equal(broken.mask, broken.true_mask)
+
+
 def _masks(**options) -> list:
     broken = SyntheticOffice(scale=SCALE, mask_faults=MaskFaults(**options))
     return [broken[i].mask for i in range(0, 120, 4)]

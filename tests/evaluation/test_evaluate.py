@@ -54,12 +54,35 @@ def test_both_protocols():
     assert result.all_frames.lpips is None
 
 
+def test_objects_are_compared_with_the_truth_where_it_is_known():
+    """The mapper's masks say 3 above and were spoilt; a frame without truth is not mixed in."""
+    truth = np.zeros(SHAPE, np.int32)
+    truth[:10] = 3
+    spoilt = np.full(SHAPE, 4, np.int32)
+    frames = [_frame(0, mask=spoilt, true_mask=truth), _frame(1, mask=spoilt)]
+    poses = {0: _pose(0.1), 1: _pose(0.1)}
+    result = evaluate(frames, poses, _view, mapped=[0])
+    assert result.miou_against == "truth"
+    assert result.all_frames.miou == result.all_frames.pixel_accuracy == 1.0
+    assert [(row.id, row.pixels) for row in result.objects] == [(3, 240)]
+    assert result.held_out.miou is None  # frame 1 has no truth
+    given = evaluate([frames[1]], poses, _view, mapped=[])
+    assert given.miou_against == "given" and given.all_frames.miou == 0.0
+
+
+def test_a_true_mask_alone_is_enough():
+    truth = _frame(0).mask
+    result = evaluate([_frame(0, mask=None, true_mask=truth)], {0: _pose(0.1)}, _view, mapped=[])
+    assert result.all_frames.miou == 1.0 and result.miou_against == "truth"
+
+
 def test_what_is_not_there_is_not_measured():
     result = evaluate([_frame(0, depth=None, mask=None)], {0: _pose(0.1)}, _view, mapped=[0])
     scores = result.all_frames
     assert scores.psnr == pytest.approx(20.0, abs=1e-3)
     assert scores.depth_l1_cm is None and scores.miou is None and scores.pixel_accuracy is None
     assert result.held_out.frames == 0 and result.held_out.psnr is None
+    assert result.miou_against is None and result.objects == []
 
 
 def test_a_frame_without_a_single_reading_is_passed_over_in_the_means():

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from ggwarp.evaluation.evaluate import Evaluation, FrameScore, Scores
+from ggwarp.evaluation.objects import ObjectRow
 from ggwarp.io.ply import PlyGaussians, read_ply
 from ggwarp.io.trajectory import read_tum
 from ggwarp.pipeline import renders, report
@@ -16,7 +17,9 @@ from ggwarp.types import Rendered, StepReport, Verdict
 KEYS = (
     "sequence dataset device frames fps wall_s tracking_ms mapping_ms mapping_iterations ate_rmse_cm "
     "ate_mean_cm psnr ssim lpips depth_l1_cm miou gaussians tracking_keyframes mapping_keyframes frames_lost "
-    "frames_skipped peak_memory_mb heldout_psnr heldout_ssim heldout_lpips heldout_depth_l1_cm heldout_miou"
+    "frames_skipped peak_memory_mb heldout_psnr heldout_ssim heldout_lpips heldout_depth_l1_cm heldout_miou "
+    "miou_matched miou_interior heldout_miou_matched heldout_miou_interior pixel_accuracy pq sq rq "
+    "objects_true objects_found miou_against"
 ).split()
 
 
@@ -50,9 +53,10 @@ def record() -> report.RunRecord:
 
 def test_metrics(record):
     record.evaluation = Evaluation(
-        Scores(3, 30.0, 0.9, None, 1.0, 0.8, 0.95),
-        Scores(1, 28.0),
+        Scores(3, 30.0, 0.9, None, 1.0, miou=0.8, miou_matched=0.85, pq=0.7, objects_true=4, objects_found=5),
+        Scores(1, 28.0, miou_interior=0.9),
         [FrameScore(0, False, 30.0, 0.9, None, 1.0)],
+        "truth",
     )
     metrics = report.metrics_of(record, wall_s=9.0, gaussians=123)
     assert set(KEYS) <= set(metrics)
@@ -70,6 +74,10 @@ def test_metrics(record):
     assert metrics["frames_lost"] == 1 and metrics["frames_skipped"] == 1
     assert metrics["psnr"] == 30.0 and metrics["heldout_psnr"] == 28.0 and metrics["heldout_frames"] == 1
     assert metrics["lpips"] is None and metrics["heldout_miou"] is None
+    assert (metrics["miou"], metrics["miou_matched"], metrics["miou_interior"]) == (0.8, 0.85, None)
+    assert metrics["heldout_miou_interior"] == 0.9 and metrics["pq"] == 0.7
+    assert (metrics["objects_true"], metrics["objects_found"]) == (4, 5)
+    assert metrics["miou_against"] == "truth"
     assert metrics["peak_memory_mb"] > 10.0
 
 
@@ -124,6 +132,26 @@ def test_a_row_for_every_frame(record, tmp_path):
     )
     assert rows[3]["loss"] == "" and float(rows[3]["ate_cm"]) == pytest.approx(2.0)
     assert float(rows[0]["rmse_mm"]) == pytest.approx(1.0)
+
+
+def test_a_row_for_every_true_object(record, tmp_path):
+    record.class_names = {5: "chair"}
+    record.evaluation = Evaluation(
+        objects=[ObjectRow(2, 40, 0, 0.0, None, None, 0.0), ObjectRow(5, 100, 90, 0.75, 0.8, 7, 0.9)]
+    )
+    report.write_object_scores(tmp_path, record)
+    with (tmp_path / "object_scores.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [(r["id"], r["name"], r["pixels"], r["matched_id"]) for r in rows] == [
+        ("2", "", "40", ""),
+        ("5", "chair", "100", "7"),
+    ]
+    assert [r["iou_interior"] for r in rows] == ["", "0.800000"] and float(rows[1]["iou_matched"]) == 0.9
+
+
+def test_no_objects_compared_no_rows(record, tmp_path):
+    report.write_object_scores(tmp_path, record)
+    assert (tmp_path / "object_scores.csv").read_text().splitlines() == [",".join(report.OBJECT_COLUMNS)]
 
 
 def test_map_and_objects(rng, tmp_path):
