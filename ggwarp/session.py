@@ -100,9 +100,10 @@ def track_and_map(
     record.counts = dict(slam.counts)
     late = [r for r in record.reports if r.late_ms > 0.0]
     if late:
+        behind = max(r.frames_behind for r in late)
         display.warn(
             f"{len(late)} of {len(record.reports)} frames were taken up late, by up to "
-            f"{max(r.late_ms for r in late):.0f} ms or {max(r.frames_behind for r in late)} frames"
+            f"{max(r.late_ms for r in late):.0f} ms" + (f", with up to {behind} newer ones waiting" if behind else "")
         )
     return kept
 

@@ -194,7 +194,7 @@ class StepReport:
         loss: mean mapping loss over this frame's iterations; nan when there was none.
         latency_ms: from the frame's arrival to its pose, milliseconds; but for live mode a frame arrives when
             the tracker takes it up.
-        late_ms: how long after its arrival a busy tracker took the frame up, milliseconds (live mode).
+        late_ms: how long after its arrival a busy system took the frame up, milliseconds (live mode).
         frames_behind: newer frames that had arrived by then.
     """
 

@@ -23,7 +23,7 @@ class Arrival:
 
     Attributes:
         delay: seconds from its arrival to its being taken up.
-        late: whether the tracker was still busy when it arrived.
+        late: whether the frame before was still being worked on when it arrived.
         behind: newer frames that had arrived by then.
     """
 
