@@ -103,7 +103,8 @@ def track_and_map(
         behind = max(r.frames_behind for r in late)
         display.warn(
             f"{len(late)} of {len(record.reports)} frames were taken up late, by up to "
-            f"{max(r.late_ms for r in late):.0f} ms" + (f", with up to {behind} newer ones waiting" if behind else "")
+            f"{max(r.late_ms for r in late):.0f} ms"
+            + (f", with up to {behind} newer ones waiting" if behind else "")
         )
     return kept
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import errno
 import json
@@ -75,6 +76,9 @@ class FakeSlam:
 
     def skip_frame(self):
         pass
+
+    def in_two_threads(self):
+        return contextlib.nullcontext()
 
     def refine(self):
         self.refined += 1

@@ -8,15 +8,19 @@ frame goes from one to the other.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from ggwarp.io.ply import PlyGaussians
+from ggwarp.kernels import loading
+from ggwarp.kernels.lanes import OPEN_ROAD, two_lanes
 from ggwarp.pipeline.given_poses import GivenPoses
 from ggwarp.pipeline.keyframes import KeyframeConfig, KeyframeKind, OverlapKeyframes
 from ggwarp.pipeline.mapper import Mapper, MapperConfig
@@ -93,6 +97,7 @@ class Slam:
         self._policy = OverlapKeyframes(config.keyframes)
         self._mapper = Mapper(config.mapper, camera, device=device, use_identity=config.use_identity)
         self._scheduler = scheduler or SynchronousScheduler(config.mapper.iterations)
+        self._lanes = (OPEN_ROAD, OPEN_ROAD)
         self.map = self._mapper.map
         self.reports: list[StepReport] = []
         self.counts = {"tracking_keyframes": 0, "mapping_keyframes": 0, "frames_lost": 0}
@@ -105,7 +110,8 @@ class Slam:
         """Find the next frame's pose and what it adds (the tracker's side)."""
         arrival = self._scheduler.take_up()
         started = time.perf_counter()
-        result = self._track(frame)
+        with self._lanes[0]:
+            result = self._track(frame)
         seconds = time.perf_counter() - started
         kind = self._policy.decide(result)
         if kind is KeyframeKind.TRACKING:
@@ -120,18 +126,42 @@ class Slam:
             waiting: where tracking runs beside: says whether the next frame waits already.
         """
         started = time.perf_counter()
+        lane = self._lanes[1]
         if tracked.kind is not KeyframeKind.NONE:
-            self._mapper.insert(tracked.frame, tracked.result.T_wc)
+            with lane:
+                self._mapper.insert(tracked.frame, tracked.result.T_wc)
         done = 0
         while self._mapper.ready and self._scheduler.wants_more(done, waiting):
-            self._mapper.iterate()
+            with lane:
+                self._mapper.iterate()
             done += 1
-        loss = self._mapper.settle()
+        with lane:
+            loss = self._mapper.settle()
         return self._report(tracked, done, loss, time.perf_counter() - started)
 
     def leave_unmapped(self, tracked: Tracked) -> StepReport:
         """Report a frame that the map will never see: the run ends before its turn."""
         return self._report(dataclasses.replace(tracked, kind=KeyframeKind.NONE), 0, math.nan, 0.0)
+
+    @contextlib.contextmanager
+    def in_two_threads(self) -> Iterator[None]:
+        """Allow :meth:`track_frame` and :meth:`map_frame` to be called from a thread each.
+
+        Raises:
+            ValueError: the tracker looks at the Gaussians.
+        """
+        if self.in_turn_only:
+            raise ValueError(
+                "this tracker looks at the Gaussians being mapped: it works in turn with the mapper"
+            )
+        # Two threads must not compile a kernel at once.
+        loading.load(loading.imported_kernel_modules(self.device), self.device)
+        with two_lanes(self.device) as lanes:
+            self._lanes = lanes
+            try:
+                yield
+            finally:
+                self._lanes = (OPEN_ROAD, OPEN_ROAD)
 
     def skip_frame(self) -> None:
         """Let the time of a frame pass that cannot be used."""
@@ -145,6 +175,7 @@ class Slam:
     def refine(self) -> None:
         """Fit the map once more, without a new frame."""
         self._mapper.iterate()
+        self._mapper.settle()
 
     def render(self, T_wc: Float64) -> Rendered:
         """Return the map's view from ``T_wc`` [4, 4] at the run's image size."""

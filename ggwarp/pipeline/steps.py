@@ -15,7 +15,6 @@ from collections.abc import Callable, Iterable, Iterator
 from types import TracebackType
 from typing import Any, Generic, TypeVar
 
-from ggwarp.kernels import loading
 from ggwarp.pipeline.scheduler import Waiting
 from ggwarp.pipeline.slam import Slam, Tracked
 from ggwarp.types import Frame, StepReport
@@ -52,18 +51,13 @@ def run_steps(
         SideError: one side failed; both have ended. Every tracked frame was yielded before.
         ValueError: ``beside``, but the tracker looks at the Gaussians.
     """
-    if beside and slam.in_turn_only:
-        raise ValueError(
-            "this tracker looks at the Gaussians being mapped: it works in turn with the mapper only"
-        )
     halted = threading.Event()
     source = _tracked(slam, items, lambda: halted.is_set() or stopped())
     failure: SideError | None = None
     with contextlib.ExitStack() as stack:
         waiting = None
         if beside:
-            # Two threads must not compile a kernel at once.
-            loading.load(loading.imported_kernel_modules(slam.device), slam.device)
+            stack.enter_context(slam.in_two_threads())
             source = stack.enter_context(_Ahead(source, AHEAD, halted))
             waiting = source.waiting
         try:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from types import SimpleNamespace
 from typing import Any
@@ -15,6 +16,7 @@ from ggwarp.pipeline.mapper import MapperConfig
 from ggwarp.pipeline.scheduler import UncappedScheduler
 from ggwarp.pipeline.slam import Slam, SlamConfig
 from ggwarp.pipeline.steps import AHEAD, SideError, run_steps
+from ggwarp.pipeline.tracker import GicpTracker
 from ggwarp.types import Frame
 
 BOTH_WAYS = pytest.mark.parametrize("beside", [False, True], ids=["in turn", "beside"])
@@ -26,9 +28,6 @@ def frame(index: int) -> Frame:
 
 class Sides:
     """Stands in for the system: notes what either side does, and fails where told."""
-
-    device = "cpu"
-    in_turn_only = False
 
     def __init__(self, *, fail_tracking: int = -1, fail_mapping: int = -1) -> None:
         self.fail_tracking, self.fail_mapping = fail_tracking, fail_mapping
@@ -60,6 +59,10 @@ class Sides:
 
     def skip_frame(self) -> None:
         self.skipped += 1
+
+    @contextlib.contextmanager
+    def in_two_threads(self) -> Any:
+        yield
 
 
 def run(sides: Sides, items: Any, **options: Any) -> tuple[list[tuple[int, Any]], SideError | None]:
@@ -151,14 +154,6 @@ def test_the_tracker_runs_ahead_but_not_far() -> None:
     assert len(sides.tracked) < 50
 
 
-def test_a_tracker_that_sees_the_gaussians_works_in_turn() -> None:
-    sides = Sides()
-    sides.in_turn_only = True
-    with pytest.raises(ValueError, match="in turn"):
-        run(sides, [frame(0)], beside=True)
-    assert run(sides, [frame(0)])[0] == [(0, "mapped 0")]
-
-
 OFFICE = SyntheticOffice(scale=0.15)
 
 
@@ -180,6 +175,15 @@ def test_beside_is_in_turn_to_the_bit(device: str) -> None:
             assert getattr(a, name) == getattr(b, name), name
     for name, values in vars(one.map_arrays()).items():
         np.testing.assert_array_equal(values, getattr(other.map_arrays(), name), err_msg=name)
+
+
+def test_a_tracker_that_sees_the_gaussians_works_in_turn(
+    device: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(GicpTracker, "needs_gaussians", True, raising=False)
+    with pytest.raises(ValueError, match="in turn"):
+        office_run(device, beside=True)
+    assert len(office_run(device, beside=False).reports) == 6
 
 
 def test_uncapped_every_frame_is_fitted(device: str) -> None:
