@@ -203,6 +203,11 @@ class Classifier:
         )
         return np.asarray(labels.numpy(), np.int32), np.asarray(probabilities.numpy(), np.float32)
 
+    def to_host(self) -> tuple[Float32, Float32]:
+        """Return copies of W [count, 16] and b [count]."""
+        n = self.count
+        return self._weights.numpy()[:n].copy(), self._biases.numpy()[:n].copy()
+
     def _allocate(self, capacity: int) -> None:
         def zeros(shape: Any, dtype: Any) -> wp.array:
             return wp.zeros(shape, dtype=dtype, device=self._device)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from ggwarp.io.ply import PlyGaussians
 from ggwarp.kernels.adam import AdamRates, adam_gaussians
@@ -20,9 +21,12 @@ from ggwarp.map.gaussians import GaussianMap
 from ggwarp.map.renderer import Renderer
 from ggwarp.map.workspaces import allocate_loss
 from ggwarp.objects.classifier import Classifier, ClassifierConfig
+from ggwarp.objects.inventory import ObjectRecord, inventory
+from ggwarp.objects.linear import LinearClassifier
 from ggwarp.objects.registry import NO_OBJECT, ClassTable
+from ggwarp.objects.sightings import Sightings
 from ggwarp.pipeline.seeding import SeedingConfig, seed_density, seed_gaussians
-from ggwarp.types import Camera, Float64, Frame, Rendered
+from ggwarp.types import Camera, Float32, Float64, Frame, Rendered
 
 _RATES = AdamRates(means=2e-4, quats=5e-3, log_scales=1e-2, opacity=0.1, colours=5e-3, identities=2.5e-3)
 
@@ -76,6 +80,7 @@ class Mapper:
         map: the Gaussians.
         classes: the masks' ids as classes.
         classifier: identity -> class; None without identities.
+        sightings: which keyframes showed which object.
         keyframe_indices: frames that were ever used for mapping.
     """
 
@@ -87,6 +92,7 @@ class Mapper:
         self.map = GaussianMap(device=device, has_identity=use_identity)
         self.classes = ClassTable()
         self.classifier = Classifier(config.classifier, self.map, seed=config.seed) if use_identity else None
+        self.sightings = Sightings()
         self._renderer = Renderer(self.map, camera)
         self._workspace = allocate_loss(camera.height, camera.width, device=self._device)
         self._losses = wp.zeros(LOSS_COUNT, dtype=float, device=self._device)
@@ -114,6 +120,7 @@ class Mapper:
         if self.classifier is not None and frame.mask is not None:
             classes = self.classes.encode(frame.mask)
             self.classifier.grow(self.classes.count)
+            self.sightings.add(frame.index, frame.mask)
         rendered = self.render(T_wc) if self.map.count else None
         density = seed_density(frame, rendered, self._config.seeding)
         batch = seed_gaussians(
@@ -178,12 +185,35 @@ class Mapper:
 
     def export(self) -> PlyGaussians:
         """Return the map on the host, each Gaussian with its object's id as the masks name it."""
-        object_ids = None
-        if self.classifier is not None:
-            classes, probabilities = self.classifier.classify_map()
-            sure = probabilities > self._config.object_probability
-            object_ids = np.where(sure, self.classes.decode(classes), NO_OBJECT).astype(np.int32)
-        return PlyGaussians(object_ids=object_ids, **self.map.to_host())
+        return PlyGaussians(object_ids=self._belongings()[0], **self.map.to_host())
+
+    def objects(self, names: dict[int, str]) -> list[ObjectRecord]:
+        """Describe the map's objects; ``names`` are their classes by id, where known."""
+        object_ids, probabilities = self._belongings()
+        arrays = self.map.to_host()
+        return inventory(
+            arrays["means"],
+            arrays["colours"],
+            object_ids,
+            names=names,
+            sightings=self.sightings,
+            probabilities=probabilities,
+        )
+
+    def linear_classifier(self) -> LinearClassifier | None:
+        """Return the identity classifier on the host; None without identities."""
+        if self.classifier is None:
+            return None
+        weights, biases = self.classifier.to_host()
+        return LinearClassifier(weights, biases, self.classes.ids[: self.classifier.count])
+
+    def _belongings(self) -> tuple[NDArray[np.int32] | None, Float32 | None]:
+        """Return [n] the object of each Gaussian, and [n] how probable that is."""
+        if self.classifier is None:
+            return None, None
+        classes, probabilities = self.classifier.classify_map()
+        sure = probabilities > self._config.object_probability
+        return np.where(sure, self.classes.decode(classes), NO_OBJECT).astype(np.int32), probabilities
 
     def _draw(self) -> Keyframe:
         """The newest keyframe first, once; then any, at random."""
