@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""tools/benchmark.py: whole runs, and the paper's rows made of them."""
+
+import json
+import time
+from pathlib import Path
+
+import pytest
+
+import benchmark
+from benchmarking import sweep, system
+from benchmarking.runs import SYNCHRONOUS, Outcome, RunSpec, accepts, execute
+from benchmarking.timed_run import Clock
+from ggwarp.run import parse
+
+METRICS = {"frames": 20, "fps": 4.0, "mapping_iterations": 200, "psnr": 30.0, "dataset": "replica"}
+
+
+def test_a_run_s_options_are_the_command_s(tmp_path: Path):
+    spec = RunSpec("room0", "fast", "30", "0:8", 0.5, tmp_path, "cpu")
+    config = parse(spec.arguments(tmp_path / "out"))
+    assert (config.seq, config.preset, config.fps, config.frames) == ("room0", "fast", 30.0, "0:8")
+    assert (config.scale, config.data, config.device) == (0.5, tmp_path, "cpu")
+    assert config.mapper.iterations < parse(["--seq", "room0"]).mapper.iterations, "the preset's own"
+    assert parse(RunSpec("room0").arguments(tmp_path)).fps is None
+
+
+def test_caps_that_the_command_does_not_know_are_told():
+    assert accepts("30") and accepts(SYNCHRONOUS)
+    assert not accepts("-3") and not accepts("fast")
+
+
+def test_shares_are_of_the_loop_s_time():
+    outcome = Outcome(METRICS, {"tracking": 1.0, "insertion": 0.5, "mapping": 2.5})
+    assert outcome.loop_s == 5.0
+    assert outcome.shares == pytest.approx({"tracking": 0.2, "insertion": 0.1, "mapping": 0.5, "rest": 0.2})
+    assert Outcome({"frames": 0, "fps": None}).shares == {"rest": None}
+
+
+def test_a_clock_counts_nested_calls_once():
+    clock = Clock()
+    inner = clock.around(lambda: time.sleep(0.02))
+    outer = clock.around(lambda: (inner(), inner()))
+    started = time.perf_counter()
+    outer()
+    passed = time.perf_counter() - started
+    assert 0.04 <= clock.seconds <= passed
+    assert clock.around(lambda x: x + 1)(2) == 3
+
+
+def test_rows_are_the_paper_s():
+    metrics = {
+        "room0": {"psnr": 35.367, "ssim": 0.9412, "lpips": 0.0814, "fps": 29.97},
+        "room1": {"psnr": 37.8, "ssim": 0.957, "lpips": None, "fps": 10.0},
+        "room2": {},
+    }
+    rows = sweep.paper_rows("gg-slam", "30", metrics)
+    assert [row["system"] for row in rows] == ["ggwarp gg-slam @30"] * 4
+    cells = {row[""]: [row[k] for k in ("room0", "room1", "room2", "Avg.")] for row in rows}
+    assert cells["PSNR"] == ["35.37", "37.80", "-", "36.58"]
+    assert cells["SSIM"] == [".941", ".957", "-", ".949"]
+    assert cells["LPIPS"] == [".081", "-", "-", ".081"]
+    assert cells["FPS"] == ["29.97", "10.00", "-", "19.98"]
+
+
+def test_speed_and_quality_of_a_run_say_what_it_ran_on():
+    outcome = Outcome(METRICS | {"dataset": "synthetic"}, {"mapping": 1.0}, [0.0, 10.0])
+    row = system.speed_row(RunSpec("office0"), outcome)
+    assert row["sequence"] == "office0 (built-in)" and row["a frame"] == 10.0 and row["FPS"] == 4.0
+    assert system.stage_row(RunSpec("office0"), outcome)["late max ms"] is None, "not live"
+    assert system.stage_row(RunSpec("office0", fps="5"), outcome)["late max ms"] == 10.0
+    assert system.quality_row(RunSpec("office0"), outcome)["LPIPS"] is None
+
+
+def test_live_runs_are_held_against_their_pace_and_the_synchronous_run():
+    plain, live = RunSpec("redkitchen", "fast"), RunSpec("redkitchen", "fast", "5")
+    outcomes = {plain: Outcome(METRICS), live: Outcome(METRICS | {"psnr": 29.2}, {}, [0.0, 500.0])}
+    speed = system.checks(plain, outcomes[plain], outcomes, True)
+    assert [(c.value, c.target, c.met) for c in speed] == [(4.0, 10.0, False)]
+    assert not system.checks(RunSpec("room0", "fast"), outcomes[plain], outcomes, True)
+    late, loss = system.checks(live, outcomes[live], outcomes, True)
+    assert late.value == pytest.approx(0.5) and late.target == 0.4 and late.met is False
+    assert loss.value == pytest.approx(0.8) and loss.target == 0.5 and loss.met is False
+
+
+def test_a_run_is_clocked_and_read(capfd: pytest.CaptureFixture[str]):
+    outcome = execute(RunSpec("office", frames="0:3", scale=0.05, device="cpu"))
+    assert not outcome.failure
+    assert outcome.metrics["frames"] == 3 and len(outcome.late_ms) == 3
+    assert all(seconds > 0.0 for seconds in outcome.stages.values())
+    assert set(outcome.stages) == {"tracking", "insertion", "mapping"}
+    shares = [s for s in outcome.shares.values() if s is not None]
+    assert sum(shares) == pytest.approx(1.0)
+    # The run's own figure holds the clocked calls, and little else.
+    own = outcome.metrics["tracking_ms"] * 3 / 1e3
+    assert outcome.stages["tracking"] <= 1.001 * own
+    assert "running office" in capfd.readouterr().err
+
+
+def test_a_run_that_fails_is_noted_and_the_rest_goes_on(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+    out = tmp_path / "s.json"
+    arguments = ["system", "--seq", "nowhere", "--device", "cpu", "--data", str(tmp_path), "--out", str(out)]
+    assert benchmark.main(arguments) == 0
+    content = json.loads(out.read_text())
+    assert content["benchmark"] == "system" and content["settings"]["seq"] == ["nowhere"]
+    assert any("nowhere" in note and "exit code 2" in note for note in content["notes"])
+    assert "written" in capfd.readouterr().out
+
+
+def test_a_mistake_ends_in_one_line(capsys: pytest.CaptureFixture[str]):
+    assert benchmark.main(["kernels", "--size", "huge"]) == 2
+    assert benchmark.main(["tracking", "--device", "cuda:77"]) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 2 and all(line.startswith("benchmark: --") for line in lines)
