@@ -30,6 +30,7 @@ from ggwarp.config import (
 )
 from ggwarp.console import Display, open_display
 from ggwarp.datasets import BUILT_IN, Dataset, DatasetError, FrameReader, open_dataset
+from ggwarp.io.camera import write_camera
 from ggwarp.io.toml import write_toml
 from ggwarp.kernels import loading
 from ggwarp.pipeline import report
@@ -178,6 +179,7 @@ def execute(config: RunConfig, display: Display, interruption: Interruption, sta
     _introduce(config, dataset, len(indices), display)
 
     reader = FrameReader(dataset, indices, scale=scale)
+    write_camera(folder / "camera.json", reader.camera)
     # Without masks there is no object to learn: the picture gets the time instead.
     system = dataclasses.replace(config.slam(), use_identity=config.use_identity and dataset.has_masks)
     slam = Slam(system, reader.camera, reader.sensor_camera, device=device, scheduler=_scheduler(config))

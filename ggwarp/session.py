@@ -191,7 +191,7 @@ def save(slam: Slam, record: report.RunRecord, folder: Path, started: float) -> 
     """Write the run folder and return what ``metrics.json`` holds."""
     report.write_trajectories(folder, record)  # first: where the device has failed, the map cannot be had
     arrays = slam.map_arrays()
-    report.write_map(folder, arrays, record.class_names)
+    report.write_map(folder, arrays, slam.objects(record.class_names), slam.linear_classifier())
     report.write_frames(folder, record)
     report.write_object_scores(folder, record)
     metrics = report.metrics_of(record, wall_s=time.perf_counter() - started, gaussians=len(arrays))

@@ -21,7 +21,7 @@ ALLOWED: dict[str, set[str]] = {
     "kernels": _BASE,
     "ops": _BASE | {"kernels"},
     "map": _BASE | {"kernels", "ops"},
-    "objects": _BASE | {"kernels", "ops", "map"},
+    "objects": _BASE | {"kernels", "ops", "map", "io"},
     "io": _BASE,
     "datasets": _BASE | {"kernels"},
     "evaluation": _BASE | {"map"},

@@ -21,8 +21,11 @@ import pytest
 from ggwarp import config, run
 from ggwarp.io.ply import PlyGaussians, read_ply
 from ggwarp.io.trajectory import read_tum
+from ggwarp.objects.inventory import inventory
+from ggwarp.objects.linear import LinearClassifier
+from ggwarp.objects.saved import load_run
 from ggwarp.pipeline import report
-from ggwarp.types import Rendered, StepReport, Verdict
+from ggwarp.types import Camera, Rendered, StepReport, Verdict
 
 WIDTH, HEIGHT, FRAMES = 64, 48, 6
 
@@ -106,6 +109,13 @@ class FakeSlam:
         quats = np.tile(np.float32([1, 0, 0, 0]), (7, 1))
         return PlyGaussians(values, quats, values, values[:, 0], values, ids, identities)
 
+    def objects(self, names):
+        arrays = self.map_arrays()
+        return inventory(arrays.means, arrays.colours, arrays.object_ids, names=names)
+
+    def linear_classifier(self):
+        return LinearClassifier(np.ones((2, 16), np.float32), np.zeros(2, np.float32), np.array([0, 4]))
+
 
 @pytest.fixture
 def fake(monkeypatch, tmp_path):
@@ -143,7 +153,8 @@ def test_a_run_leaves_its_folder(scene, fake, tmp_path, capsys):
     assert len(read_ply(folder / "map.ply")) == 7
     depth = cv2.imread(str(folder / "renders/frame000004_depth.png"), cv2.IMREAD_UNCHANGED)
     assert depth is not None and depth.shape == (24, 32) and (depth == 2000).all()
-    assert json.loads((folder / "objects.json").read_text())["objects"][0]["count"] == 4
+    saved = load_run(folder)
+    assert saved.objects[0].count == 4 and saved.camera == Camera(32, 24, 25.0, 25.0, 15.5, 11.5)
 
 
 def test_its_configuration_runs_again(scene, fake, tmp_path):

@@ -245,7 +245,8 @@ def project_adjoint(
             the gradient (translation, rotation) of T_cw <- Exp(tau) T_cw. Empty: no pose gradient.
     """
     device = means.device
-    visible = int(tiles.counts.numpy()[0]) if device.is_cpu else count
+    readable = device.is_cpu and not device.is_capturing
+    visible = int(tiles.counts.numpy()[0]) if readable else count
     launch_split(
         _project_adjoint,
         visible,

@@ -5,8 +5,9 @@ Visible Gaussians are sorted by depth: rank r is the r-th nearest. Each (rank, t
 *slot*; the slots of a rank are contiguous, so that gradients written per slot are summed per
 Gaussian without atomics. Slots sorted stably by tile give each tile its splats in depth order.
 
-On the CPU counts are read (memory is shared) and the second sort is a serial counting sort; on CUDA
-nothing is read back: slots up to the capacity are sorted, unused ones carry a sentinel tile.
+On the CPU counts are read (memory is shared) and the second sort is a serial counting sort; on CUDA, and
+while a graph is recorded, nothing is read back: slots up to the capacity are sorted, unused ones carry a
+sentinel tile.
 """
 
 from __future__ import annotations
@@ -172,7 +173,8 @@ def bin_splats(
 
     Raises:
         TileCapacityError: on the CPU, when there are too few slots; ``order`` and the number visible
-            are right then. On CUDA ``counts[2]`` is set instead and the farthest splats are left out.
+            are right then. On CUDA and in a recording ``counts[2]`` is set instead and the farthest splats
+            are left out.
         ValueError: ``out`` is too small for ``count`` or made for another image size.
     """
     tiles_x, tiles_y = tiles_across(width), tiles_across(height)
@@ -182,7 +184,8 @@ def bin_splats(
             f"tile arrays hold {room} Gaussians and {tile_room} tiles, "
             f"but {count} and {tiles_x * tiles_y} are needed"
         )
-    if tile_rects.device.is_cpu:
+    device = tile_rects.device
+    if device.is_cpu and not device.is_capturing:
         _bin_on_cpu(tile_rects, depths, count, tiles_x, out)
     else:
         bin_in_parallel(tile_rects, depths, count, tiles_x, out)

@@ -2,7 +2,8 @@
 """The map: a structure of arrays of Gaussians that grows and is pruned.
 
 The map has one writer, the mapper. Arrays live on one Warp device and keep spare capacity;
-the first ``count`` rows of each are in use.
+the first ``count`` rows of each are in use. The other rows are zeros, and a Gaussian whose quaternion is zero
+is not rendered: recorded work covers all rows.
 """
 
 from __future__ import annotations
@@ -66,6 +67,7 @@ class GaussianMap:
         count: Gaussians in use.
         has_identity: whether ``identities`` is there.
         version: grows whenever rows are added or removed.
+        allocation: grows whenever ``fields`` become other arrays.
         fields: name -> array of ``capacity`` rows: the parameters and the optimiser's state.
     """
 
@@ -74,6 +76,7 @@ class GaussianMap:
         self.has_identity = has_identity
         self.count = 0
         self.version = 0
+        self.allocation = 0
         names = [n for n in PARAMETERS if has_identity or n != "identities"]
         types = {n: PARAMETERS[n] for n in names}
         types |= {"first": vec16, "second": vec16, "steps": wp.int32}
@@ -129,6 +132,7 @@ class GaussianMap:
         if dropped:
             for name, array in self.fields.items():
                 self.fields[name] = gathered(array, indices, kept)
+            self.allocation += 1
             self.count = kept
             self.version += 1
         return dropped
@@ -142,3 +146,4 @@ class GaussianMap:
             new = wp.zeros(capacity, dtype=old.dtype, device=self.device)
             wp.copy(new, old, count=self.count)
             self.fields[name] = new
+        self.allocation += 1

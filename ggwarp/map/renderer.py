@@ -40,7 +40,8 @@ class Renderer:
         gradients: of the visible Gaussians' parameters, after :meth:`adjoint`.
         d_pose: [1] vec6, gradient (translation, rotation) of T_cw <- Exp(tau) T_cw, after :meth:`adjoint`
             with ``pose`` or :meth:`adjoint_pose`.
-        tiles: the binning; ``tiles.ranks`` is -1 for Gaussians the view does not show.
+        tiles: the binning.
+        allocation: grows whenever arrays are allocated anew.
     """
 
     def __init__(self, gaussians: GaussianMap, camera: Camera, *, identity: bool = True) -> None:
@@ -66,13 +67,24 @@ class Renderer:
         self.d_pose = wp.zeros(1, dtype=row, device=self._device)
         self._pose: tuple[wp.array, ...] = ()
         self._capacity = 0
+        self.allocation = 0
         self._reserve()
+
+    @property
+    def rows(self) -> int:
+        """Rows of the map that are rendered: those in use; in a recording, which outlives growth, all."""
+        return self._map.capacity if self._device.is_capturing else self._map.count
+
+    @property
+    def ranks(self) -> Any:
+        """[rows] int: rank of each Gaussian by depth, -1 where the last view does not show it."""
+        return self.tiles.ranks[: self.rows]
 
     def forward(self, T_cw: wp.array) -> None:
         """Render from ``T_cw`` ([1] mat44, world to camera).
 
-        Nothing is read back on CUDA: where tile slots do not suffice the farthest splats are left out,
-        until :meth:`make_room`.
+        Nothing is read back on CUDA or in a recording: where tile slots do not suffice the farthest splats
+        are left out, until :meth:`make_room`.
         """
         self._bin(T_cw)
         composite(
@@ -112,7 +124,7 @@ class Renderer:
         )
         project_adjoint(
             m.means, m.quats, m.log_scales, m.opacity_logits, m.colours,
-            T_cw=T_cw, camera=self._intrinsics, count=self._map.count,
+            T_cw=T_cw, camera=self._intrinsics, count=self.rows,
             tiles=self.tiles, slots=self._slots, d_pose_scratch=pose, **outputs,
         )  # fmt: skip
 
@@ -134,9 +146,7 @@ class Renderer:
         return array.numpy()[..., : self.camera.height, : self.camera.width].copy()
 
     def make_room(self) -> bool:
-        """Give CUDA the tile slots that renders so far lacked; wait for the device. True if they did."""
-        if self._device.is_cpu:
-            return False
+        """Allocate the tile slots that renders so far lacked; wait for the device. True if they did."""
         peak = int(to_host(self.tiles.counts)[PEAK])
         if peak <= self.tiles.capacity:
             return False
@@ -145,9 +155,8 @@ class Renderer:
 
     def provide(self, T_cw: wp.array) -> None:
         """Make room for a view's tile slots beforehand."""
-        if not self._device.is_cpu:
-            self._bin(T_cw)
-            self.make_room()
+        self._bin(T_cw)
+        self.make_room()
 
     def _bin(self, T_cw: wp.array) -> None:
         self._reserve()
@@ -155,14 +164,14 @@ class Renderer:
         project(
             m.means, m.quats, m.log_scales, m.opacity_logits, m.colours,
             m.identities if self._channels == 20 else None,
-            T_cw=T_cw, camera=self._intrinsics, count=self._map.count, out=self._splats,
+            T_cw=T_cw, camera=self._intrinsics, count=self.rows, out=self._splats,
         )  # fmt: skip
         while True:
             try:
                 bin_splats(
                     self._splats.tile_rects,
                     self._splats.depths,
-                    count=self._map.count,
+                    count=self.rows,
                     width=self.camera.width,
                     height=self.camera.height,
                     out=self.tiles,
@@ -193,3 +202,4 @@ class Renderer:
             self._capacity, slots, width=self.camera.width, height=self.camera.height, device=self._device
         )
         self._slots: Any = allocate_slot_gradients(slots, self._channels, device=self._device)
+        self.allocation += 1

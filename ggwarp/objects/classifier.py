@@ -133,17 +133,22 @@ class Classifier:
             device=self._device,
         )
 
-    def evaluate_3d(self, renderer: Renderer, losses: wp.array, iteration: int) -> None:
-        """Add the 3-D term to the gradients; after the renderer's adjoint."""
+    def begin_3d(self, iteration: int) -> bool:
+        """Return whether the 3-D term is due; draw its Gaussians then. Reads the map if that has changed."""
         c = self._config
-        if self.count < 2 or c.weight_3d == 0.0 or iteration % c.interval_3d:
-            return
-        self._neighbourhood.draw()
+        due = self.count > 1 and c.weight_3d != 0.0 and iteration % c.interval_3d == 0
+        if due:
+            self._neighbourhood.draw()
+        return due
+
+    def evaluate_3d(self, renderer: Renderer, losses: wp.array) -> None:
+        """Add the 3-D term of the Gaussians drawn to the gradients; after the renderer's adjoint."""
+        c = self._config
         neighbour_divergence(
             self._map.fields["identities"],
             samples=self._neighbourhood.samples,
             neighbours=self._neighbourhood.neighbours,
-            ranks=renderer.tiles.ranks,
+            ranks=renderer.ranks,
             weights=self._weights,
             biases=self._biases,
             classes=self.count,
@@ -202,6 +207,11 @@ class Classifier:
             device=self._device,
         )
         return np.asarray(labels.numpy(), np.int32), np.asarray(probabilities.numpy(), np.float32)
+
+    def to_host(self) -> tuple[Float32, Float32]:
+        """Return copies of W [count, 16] and b [count]."""
+        n = self.count
+        return self._weights.numpy()[:n].copy(), self._biases.numpy()[:n].copy()
 
     def _allocate(self, capacity: int) -> None:
         def zeros(shape: Any, dtype: Any) -> wp.array:

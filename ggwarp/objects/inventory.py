@@ -1,26 +1,108 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The list of objects in a map."""
+"""The list of objects in a map: what ``objects.json`` holds, as frozen dataclasses."""
 
 from __future__ import annotations
 
+import dataclasses
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ggwarp.map.gaussians import SH_C0
+from ggwarp.objects.boxes import Box, OrientedBox, Vector, axis_aligned_box, main_parts, oriented_box
 from ggwarp.objects.registry import NO_OBJECT
+from ggwarp.objects.sightings import Sightings
+from ggwarp.types import Float32
 
-_TRIM = 1.0  # percent: stray Gaussians must not decide a box
+
+@dataclass(frozen=True)
+class ObjectRecord:
+    """One object of a map; None = not known.
+
+    Attributes:
+        id: as the masks name it; ``object_id`` in the PLY.
+        source_ids: the masks' ids that were found to be this object; its own, if no other.
+        class_name: what it is, where the data says.
+        label: the name a user gave it.
+        count: its Gaussians.
+        box, oriented_box: trimmed; see :mod:`ggwarp.objects.boxes`.
+        centre: mean of its main parts' Gaussians, metres, world frame; what it turns about.
+        colour: mean (red, green, blue), 0..255.
+        first_frame, last_frame: the first and last keyframe that show it.
+        views: how many keyframes show it.
+        confidence: mean probability of its class over its Gaussians.
+    """
+
+    id: int
+    source_ids: tuple[int, ...]
+    class_name: str | None
+    label: str | None
+    count: int
+    box: Box
+    oriented_box: OrientedBox
+    centre: Vector
+    colour: tuple[int, int, int]
+    first_frame: int | None = None
+    last_frame: int | None = None
+    views: int | None = None
+    confidence: float | None = None
+
+    @property
+    def name(self) -> str:
+        """Its label, else its class, else its number."""
+        return self.label or self.class_name or f"object {self.id}"
+
+    def to_json(self) -> dict[str, Any]:
+        """Return its entry in ``objects.json``; lengths to 0.1 mm."""
+        values = dataclasses.asdict(self)
+        values["class"] = values.pop("class_name")
+        values["box"] = {"min": _rounded(self.box.low), "max": _rounded(self.box.high)}
+        values["oriented_box"] = {
+            "centre": _rounded(self.oriented_box.centre),
+            "quat": _rounded(self.oriented_box.quat, 6),
+            "half_sizes": _rounded(self.oriented_box.half_sizes),
+        }
+        values["centre"] = _rounded(self.centre)
+        if self.confidence is not None:
+            values["confidence"] = round(self.confidence, 4)
+        return values
+
+    @classmethod
+    def from_json(cls, entry: dict[str, Any]) -> ObjectRecord:
+        """Return the record of an entry of ``objects.json``.
+
+        Raises:
+            KeyError, TypeError, ValueError: it is no such entry.
+        """
+        own = {f.name for f in dataclasses.fields(cls)}
+        values = {key: value for key, value in entry.items() if key in own}
+        box, oriented = entry["box"], entry["oriented_box"]
+        values |= {
+            "id": int(entry["id"]),
+            "source_ids": tuple(map(int, entry["source_ids"])),
+            "class_name": entry["class"],
+            "box": Box(_vector(box["min"]), _vector(box["max"])),
+            "oriented_box": OrientedBox(
+                _vector(oriented["centre"]), _quat(oriented["quat"]), _vector(oriented["half_sizes"])
+            ),
+            "centre": _vector(entry["centre"]),
+            "colour": _colour(entry["colour"]),
+        }
+        return cls(**values)
 
 
 def inventory(
-    means: NDArray[np.float32],
-    colours: NDArray[np.float32],
+    means: Float32,
+    colours: Float32,
     object_ids: NDArray[np.integer[Any]] | None,
     *,
     names: dict[int, str] | None = None,
-) -> list[dict[str, Any]]:
+    sources: dict[int, tuple[int, ...]] | None = None,
+    sightings: Sightings | None = None,
+    probabilities: Float32 | None = None,
+) -> list[ObjectRecord]:
     """Describe every object of a map.
 
     Args:
@@ -28,29 +110,84 @@ def inventory(
         colours: [n, 3] degree-0 spherical harmonics.
         object_ids: [n] ids as the masks name them, 0 = none; None: the map knows no objects.
         names: id -> class name, where the data gives one.
+        sources: id -> the masks' ids that became it, where they are not itself alone.
+        sightings: what the keyframes showed.
+        probabilities: [n] of the class that gave each Gaussian its id.
 
     Returns:
-        One entry per object, by id: ``id``; ``count`` of Gaussians; ``box``, its ``min`` and ``max`` corners
-        (metres, world axes) between the 1st and 99th percentile of its Gaussians' centres; mean ``colour``
-        (RGB, 0..255); ``class``, None where unknown.
+        One record per object, by id.
     """
     if object_ids is None or len(object_ids) == 0:
         return []
     order = np.argsort(object_ids, kind="stable")
     ids, starts = np.unique(object_ids[order], return_index=True)
-    entries = []
+    records = []
     for identifier, members in zip(ids.tolist(), np.split(order, starts[1:]), strict=True):
         if identifier == NO_OBJECT:
             continue
-        low, high = np.percentile(means[members], [_TRIM, 100.0 - _TRIM], axis=0)
+        source_ids = (sources or {}).get(identifier, (identifier,))
+        seen = sightings.of(source_ids) if sightings is not None else None
         rgb = np.clip(0.5 + SH_C0 * colours[members].mean(0), 0.0, 1.0)
-        entries.append(
-            {
-                "id": identifier,
-                "count": len(members),
-                "box": {"min": np.round(low, 4).tolist(), "max": np.round(high, 4).tolist()},
-                "colour": np.rint(255.0 * rgb).astype(int).tolist(),
-                "class": (names or {}).get(identifier),
-            }
+        body = means[members][main_parts(means[members])]
+        records.append(
+            ObjectRecord(
+                id=identifier,
+                source_ids=source_ids,
+                class_name=(names or {}).get(identifier),
+                label=None,
+                count=len(members),
+                box=axis_aligned_box(body),
+                oriented_box=oriented_box(body),
+                centre=_vector(body.mean(axis=0, dtype=np.float64)),
+                colour=_colour(np.rint(255.0 * rgb)),
+                first_frame=None if seen is None else seen.first,
+                last_frame=None if seen is None else seen.last,
+                views=None if seen is None else seen.views,
+                confidence=None if probabilities is None else float(probabilities[members].mean()),
+            )
         )
-    return entries
+    return records
+
+
+def refreshed(
+    records: list[ObjectRecord],
+    means: Float32,
+    colours: Float32,
+    object_ids: NDArray[np.integer[Any]] | None,
+) -> list[ObjectRecord]:
+    """Return ``records`` with counts, boxes, centres and colours of an edited map.
+
+    Objects without Gaussians are left out; what the map cannot tell (names, frames, confidence) stays.
+    """
+    old = {record.id: record for record in records}
+    kept = ("source_ids", "class_name", "label", "first_frame", "last_frame", "views", "confidence")
+    return [
+        dataclasses.replace(new, **{name: getattr(old[new.id], name) for name in kept})
+        if new.id in old
+        else new
+        for new in inventory(means, colours, object_ids)
+    ]
+
+
+def centre_of(means: Float32) -> Vector:
+    """Return the mean of the main parts of ``means`` [n, 3], which turns and moves as they do."""
+    return _vector(means[main_parts(means)].mean(axis=0, dtype=np.float64))
+
+
+def _vector(values: Any) -> Vector:
+    x, y, z = (float(v) for v in values)
+    return x, y, z
+
+
+def _quat(values: Any) -> tuple[float, float, float, float]:
+    w, x, y, z = (float(v) for v in values)
+    return w, x, y, z
+
+
+def _colour(values: Any) -> tuple[int, int, int]:
+    r, g, b = (int(v) for v in values)
+    return r, g, b
+
+
+def _rounded(values: tuple[float, ...], digits: int = 4) -> list[float]:
+    return [round(v, digits) for v in values]

@@ -9,10 +9,12 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from ggwarp.io.ply import PlyGaussians
 from ggwarp.kernels.adam import AdamRates, adam_gaussians
 from ggwarp.kernels.compact import flag_kept
+from ggwarp.kernels.graph import GraphCache
 from ggwarp.kernels.loss import DEPTH, DSSIM, L1, LOSS_COUNT, OBJECT, OBJECT_3D, add_total, rgbd_loss
 from ggwarp.kernels.math import vec16
 from ggwarp.kernels.streams import Backlog, to_host
@@ -20,9 +22,13 @@ from ggwarp.map.gaussians import GaussianMap
 from ggwarp.map.renderer import Renderer
 from ggwarp.map.workspaces import allocate_loss
 from ggwarp.objects.classifier import Classifier, ClassifierConfig
+from ggwarp.objects.inventory import ObjectRecord, inventory
+from ggwarp.objects.linear import LinearClassifier
 from ggwarp.objects.registry import NO_OBJECT, ClassTable
+from ggwarp.objects.sightings import Sightings
 from ggwarp.pipeline.seeding import SeedingConfig, seed_density, seed_gaussians
-from ggwarp.types import Camera, Float64, Frame, Rendered
+from ggwarp.pipeline.views import Keyframe, Stage
+from ggwarp.types import Camera, Float32, Float64, Frame, Rendered
 
 _RATES = AdamRates(means=2e-4, quats=5e-3, log_scales=1e-2, opacity=0.1, colours=5e-3, identities=2.5e-3)
 
@@ -58,17 +64,6 @@ class MapperConfig:
     """Of the random choice of keyframes and identities."""
 
 
-@dataclass(frozen=True)
-class Keyframe:
-    """A frame the map is fitted to, on the device."""
-
-    index: int
-    T_cw: wp.array
-    colour: wp.array
-    depth: wp.array
-    labels: wp.array | None
-
-
 class Mapper:
     """The map's only writer.
 
@@ -76,10 +71,26 @@ class Mapper:
         map: the Gaussians.
         classes: the masks' ids as classes.
         classifier: identity -> class; None without identities.
+        sightings: which keyframes showed which object.
         keyframe_indices: frames that were ever used for mapping.
     """
 
-    def __init__(self, config: MapperConfig, camera: Camera, *, device: Any, use_identity: bool) -> None:
+    def __init__(
+        self,
+        config: MapperConfig,
+        camera: Camera,
+        *,
+        device: Any,
+        use_identity: bool,
+        recorded: bool | None = None,
+    ) -> None:
+        """Build an empty map.
+
+        Args:
+            camera: of the keyframes' images.
+            recorded: record iterations as graphs and replay them; the default does on CUDA alone: on the CPU
+                a recording runs on one thread. The map is the same to the bit.
+        """
         self._config = config
         self._camera = camera
         self._device = wp.get_device(device)
@@ -87,12 +98,15 @@ class Mapper:
         self.map = GaussianMap(device=device, has_identity=use_identity)
         self.classes = ClassTable()
         self.classifier = Classifier(config.classifier, self.map, seed=config.seed) if use_identity else None
+        self.sightings = Sightings()
         self._renderer = Renderer(self.map, camera)
         self._workspace = allocate_loss(camera.height, camera.width, device=self._device)
         self._losses = wp.zeros(LOSS_COUNT, dtype=float, device=self._device)
         self._loss_weights = wp.array(_loss_weights(config), dtype=float, device=self._device)
         self._totals = wp.zeros(2, dtype=wp.float64, device=self._device)
         self._backlog = Backlog(self._device)
+        self._recorded = self._device.is_cuda if recorded is None else recorded
+        self._graphs, self._stage = GraphCache(self._device), Stage()
         self._rates = wp.array(config.rates.lanes(), dtype=vec16, device=self._device)
         self._keyframes: list[Keyframe] = []
         self._newest_pending = False
@@ -114,6 +128,7 @@ class Mapper:
         if self.classifier is not None and frame.mask is not None:
             classes = self.classes.encode(frame.mask)
             self.classifier.grow(self.classes.count)
+            self.sightings.add(frame.index, frame.mask)
         rendered = self.render(T_wc) if self.map.count else None
         density = seed_density(frame, rendered, self._config.seeding)
         batch = seed_gaussians(
@@ -129,18 +144,19 @@ class Mapper:
         self.map.append(batch)
         self._keyframes.append(self._upload(frame, T_wc, classes))
         self._newest_pending = True
-        self._renderer.provide(self._keyframes[-1].T_cw)
+        if self._recorded:
+            self._renderer.provide(self._keyframes[-1].T_cw)
 
     def iterate(self) -> None:
         """Fit the map to one keyframe once; on CUDA, queue it: the host reads nothing."""
         keyframe = self._draw()
-        self._renderer.forward(keyframe.T_cw)
-        self._evaluate(keyframe)
-        self._renderer.adjoint(keyframe.T_cw)
-        if self.classifier is not None:
-            self.classifier.evaluate_3d(self._renderer, self._losses, self._iterations)
-        self._step()
-        add_total(self._losses, weights=self._loss_weights, totals=self._totals, device=self._device)
+        with_3d = self.classifier is not None and self.classifier.begin_3d(self._iterations)
+        if self._recorded:
+            staged = self._stage.load(keyframe)
+            variant = (staged.labels is not None, with_3d)
+            self._graphs.run(variant, lambda: self._fit(staged, with_3d), arrays=self._allocation)
+        else:
+            self._fit(keyframe, with_3d)
         self._backlog.added()
         self._iterations += 1
         if self._iterations % self._config.prune_interval == 0:
@@ -178,12 +194,35 @@ class Mapper:
 
     def export(self) -> PlyGaussians:
         """Return the map on the host, each Gaussian with its object's id as the masks name it."""
-        object_ids = None
-        if self.classifier is not None:
-            classes, probabilities = self.classifier.classify_map()
-            sure = probabilities > self._config.object_probability
-            object_ids = np.where(sure, self.classes.decode(classes), NO_OBJECT).astype(np.int32)
-        return PlyGaussians(object_ids=object_ids, **self.map.to_host())
+        return PlyGaussians(object_ids=self._belongings()[0], **self.map.to_host())
+
+    def objects(self, names: dict[int, str]) -> list[ObjectRecord]:
+        """Describe the map's objects; ``names`` are their classes by id, where known."""
+        object_ids, probabilities = self._belongings()
+        arrays = self.map.to_host()
+        return inventory(
+            arrays["means"],
+            arrays["colours"],
+            object_ids,
+            names=names,
+            sightings=self.sightings,
+            probabilities=probabilities,
+        )
+
+    def linear_classifier(self) -> LinearClassifier | None:
+        """Return the identity classifier on the host; None without identities."""
+        if self.classifier is None:
+            return None
+        weights, biases = self.classifier.to_host()
+        return LinearClassifier(weights, biases, self.classes.ids[: self.classifier.count])
+
+    def _belongings(self) -> tuple[NDArray[np.int32] | None, Float32 | None]:
+        """Return [n] the object of each Gaussian, and [n] how probable that is."""
+        if self.classifier is None:
+            return None, None
+        classes, probabilities = self.classifier.classify_map()
+        sure = probabilities > self._config.object_probability
+        return np.where(sure, self.classes.decode(classes), NO_OBJECT).astype(np.int32), probabilities
 
     def _draw(self) -> Keyframe:
         """The newest keyframe first, once; then any, at random."""
@@ -191,6 +230,22 @@ class Mapper:
             self._newest_pending = False
             return self._keyframes[-1]
         return self._keyframes[self._rng.integers(len(self._keyframes))]
+
+    @property
+    def _allocation(self) -> tuple[int, ...]:
+        """Changes when a recorded iteration no longer holds."""
+        classes = self.classifier.count if self.classifier is not None else 0
+        return (self.map.allocation, self._renderer.allocation, classes)
+
+    def _fit(self, keyframe: Keyframe, with_3d: bool) -> None:
+        """One iteration: render, compare, take the gradient back, step. It only launches: it is recorded."""
+        self._renderer.forward(keyframe.T_cw)
+        self._evaluate(keyframe)
+        self._renderer.adjoint(keyframe.T_cw)
+        if self.classifier is not None and with_3d:
+            self.classifier.evaluate_3d(self._renderer, self._losses)
+        self._step()
+        add_total(self._losses, weights=self._loss_weights, totals=self._totals, device=self._device)
 
     def _evaluate(self, keyframe: Keyframe) -> None:
         """Write the loss and its gradient by the image (GG-SLAM eq. 5)."""
@@ -217,7 +272,7 @@ class Mapper:
             self._renderer.gradients,
             self.map.adam_state,
             rates=self._rates,
-            ranks=self._renderer.tiles.ranks,
+            ranks=self._renderer.ranks,
             device=self._device,
         )
         if self.classifier is not None:

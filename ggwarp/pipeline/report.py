@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The run folder: what a run leaves, file by file.
 
-``trajectory.txt``, ``trajectory_gt.txt``, ``map.ply``, ``objects.json``, ``metrics.json``,
-``frames.csv``, ``object_scores.csv`` and ``renders/``; the command adds ``config.toml``.
+``trajectory.txt``, ``trajectory_gt.txt``, ``map.ply``, ``objects.json``, ``classifier.npz``,
+``metrics.json``, ``frames.csv``, ``object_scores.csv`` and ``renders/``; the command adds ``config.toml`` and
+``camera.json``.
 """
 
 from __future__ import annotations
 
-import json
-import math
 import os
 import re
 import time
@@ -21,19 +20,22 @@ import numpy as np
 
 from ggwarp.evaluation.evaluate import Evaluation, Scores
 from ggwarp.evaluation.trajectory import TrajectoryError, absolute_error, relative_error
-from ggwarp.io.atomic import atomic_write
+from ggwarp.io.json import write_json
 from ggwarp.io.ply import PlyGaussians, write_ply
 from ggwarp.io.table import write_table
 from ggwarp.io.trajectory import write_tum
-from ggwarp.objects.inventory import inventory
+from ggwarp.objects.inventory import ObjectRecord
+from ggwarp.objects.linear import LinearClassifier, write_classifier
 from ggwarp.types import Float64, StepReport
 
 OUTPUTS = (
     "config.toml",
+    "camera.json",
     "trajectory.txt",
     "trajectory_gt.txt",
     "map.ply",
     "objects.json",
+    "classifier.npz",
     "metrics.json",
     "frames.csv",
     "object_scores.csv",
@@ -159,11 +161,14 @@ def write_trajectories(folder: Path, record: RunRecord) -> None:
         write_tum(folder / "trajectory_gt.txt", [r.timestamp for r in known], poses)
 
 
-def write_map(folder: Path, gaussians: PlyGaussians, names: dict[int, str]) -> None:
-    """Write ``map.ply`` and ``objects.json``; ``names`` are the objects' by id, where known."""
+def write_map(
+    folder: Path, gaussians: PlyGaussians, objects: list[ObjectRecord], classifier: LinearClassifier | None
+) -> None:
+    """Write ``map.ply``, ``objects.json`` and, where there are identities, ``classifier.npz``."""
     write_ply(folder / "map.ply", **vars(gaussians))
-    objects = inventory(gaussians.means, gaussians.colours, gaussians.object_ids, names=names)
-    _write_json(folder / "objects.json", {"objects": objects})
+    write_json(folder / "objects.json", {"objects": [record.to_json() for record in objects]})
+    if classifier is not None:
+        write_classifier(folder / "classifier.npz", classifier)
 
 
 def write_frames(folder: Path, record: RunRecord) -> None:
@@ -194,7 +199,7 @@ def write_object_scores(folder: Path, record: RunRecord) -> None:
 
 def write_metrics(folder: Path, metrics: Mapping[str, Any]) -> None:
     """Write ``metrics.json``; what was not measured is null."""
-    _write_json(folder / "metrics.json", metrics)
+    write_json(folder / "metrics.json", metrics)
 
 
 def metrics_of(record: RunRecord, *, wall_s: float, gaussians: int) -> dict[str, Any]:
@@ -276,26 +281,6 @@ def _mean(values: Iterable[float]) -> float | None:
 
 def _percentile(values: list[float], percent: float) -> float | None:
     return float(np.percentile(values, percent)) if values else None
-
-
-def _write_json(path: Path, value: Any) -> None:
-    _write(path, json.dumps(_finite(value), indent=2) + "\n")
-
-
-def _write(path: Path, text: str) -> None:
-    with atomic_write(path) as file:
-        file.write(text.encode())
-
-
-def _finite(value: Any) -> Any:
-    """Replace what JSON has no word for by null."""
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    if isinstance(value, Mapping):
-        return {k: _finite(v) for k, v in value.items()}
-    if isinstance(value, list):
-        return [_finite(v) for v in value]
-    return value
 
 
 def _remove_outputs(folder: Path) -> None:

@@ -21,6 +21,8 @@ import numpy as np
 from ggwarp.io.ply import PlyGaussians
 from ggwarp.kernels import loading
 from ggwarp.kernels.lanes import OPEN_ROAD, two_lanes
+from ggwarp.objects.inventory import ObjectRecord
+from ggwarp.objects.linear import LinearClassifier
 from ggwarp.pipeline.given_poses import GivenPoses
 from ggwarp.pipeline.keyframes import KeyframeConfig, KeyframeKind, OverlapKeyframes
 from ggwarp.pipeline.mapper import Mapper, MapperConfig
@@ -193,6 +195,14 @@ class Slam:
     def map_arrays(self) -> PlyGaussians:
         """Return the map on the host, with object ids."""
         return self._mapper.export()
+
+    def objects(self, names: dict[int, str]) -> list[ObjectRecord]:
+        """Describe the map's objects; ``names`` are their classes by id, where known."""
+        return self._mapper.objects(names)
+
+    def linear_classifier(self) -> LinearClassifier | None:
+        """Return what tells identities apart; None without identities."""
+        return self._mapper.linear_classifier()
 
     def _track(self, frame: Frame) -> TrackResult:
         if self._policy.empty:

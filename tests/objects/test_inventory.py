@@ -1,7 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-import numpy as np
+import json
 
-from ggwarp.objects.inventory import inventory
+import numpy as np
+import pytest
+
+from ggwarp.objects.inventory import ObjectRecord, inventory, refreshed
+from ggwarp.objects.sightings import Sightings
 
 C0 = 0.28209479177387814
 
@@ -12,20 +16,63 @@ def test_objects_are_listed_by_id(rng):
     means[ids == 7] += 5.0
     colours = np.zeros((600, 3), np.float32)
     colours[ids == 7] = (np.array([1.0, 0.5, 0.0]) - 0.5) / C0
-    entries = inventory(means, colours, ids, names={7: "chair"})
-    assert [e["id"] for e in entries] == [7, 300]
-    chair = entries[0]
-    assert chair["count"] == 200 and chair["class"] == "chair" and entries[1]["class"] is None
-    assert chair["colour"] == [255, 128, 0]
-    np.testing.assert_allclose(chair["box"]["min"], [5, 5, 5], atol=0.05)
-    np.testing.assert_allclose(chair["box"]["max"], [6, 6, 6], atol=0.05)
+    chair, other = inventory(means, colours, ids, names={7: "chair"}, probabilities=ids / np.float32(1000))
+    assert (chair.id, other.id) == (7, 300) and chair.source_ids == (7,)
+    assert chair.count == 200 and chair.class_name == "chair" and other.class_name is None
+    assert chair.colour == (255, 128, 0) and chair.name == "chair" and other.name == "object 300"
+    np.testing.assert_allclose(chair.box.low, [5, 5, 5], atol=0.05)
+    np.testing.assert_allclose(chair.box.high, [6, 6, 6], atol=0.05)
+    np.testing.assert_allclose(chair.centre, means[ids == 7].mean(0), atol=1e-5)
+    assert chair.confidence == pytest.approx(0.007) and other.confidence == pytest.approx(0.3)
+    assert chair.views is None and chair.first_frame is None
 
 
-def test_a_stray_gaussian_does_not_stretch_the_box(rng):
+def test_what_the_keyframes_showed():
+    sightings = Sightings()
+    mask = np.zeros((100, 200), np.int32)
+    mask[:10], mask[20:30, :50], mask[50, 50] = 7, 8, 9  # 9: a dot
+    sightings.add(30, mask)
+    sightings.add(4, np.where(mask == 7, 7, 0).astype(np.int32))
+    sightings.add(11, np.where(mask == 8, 70, -1).astype(np.int32))
+    means = np.zeros((3, 3), np.float32)
+    records = inventory(means, means, np.array([7, 8, 9]), sightings=sightings, sources={8: (8, 70)})
+    assert [(r.first_frame, r.last_frame, r.views) for r in records] == [
+        (4, 30, 2),
+        (11, 30, 2),
+        (None, None, None),
+    ]
+    assert records[1].source_ids == (8, 70)
+
+
+def test_the_file_keeps_the_record(rng):
+    means = rng.normal(size=(100, 3)).astype(np.float32)
+    ids = np.repeat([3, 4], 50)
+    probabilities = rng.uniform(0.3, 1.0, 100).astype(np.float32)
+    for record in inventory(means, means, ids, names={3: "globe"}, probabilities=probabilities):
+        entry = json.loads(json.dumps(record.to_json()))
+        assert {"id", "count", "box", "colour", "class"} <= set(entry)
+        again = ObjectRecord.from_json(entry)
+        assert json.loads(json.dumps(again.to_json())) == entry
+        assert (again.id, again.class_name, again.count) == (record.id, record.class_name, record.count)
+        np.testing.assert_allclose(again.oriented_box.centre, record.oriented_box.centre, atol=1e-4)
+
+
+def test_a_stray_gaussian_does_not_stretch_the_boxes(rng):
     means = rng.uniform(0, 1, (1000, 3)).astype(np.float32)
-    means[0] = 100.0
-    box = inventory(means, np.zeros_like(means), np.ones(1000, np.int32))[0]["box"]
-    assert max(box["max"]) <= 1.0
+    means[:2] = [[100.0, 0.0, 0.0], [0.0, -50.0, 0.0]]
+    record = inventory(means, np.zeros_like(means), np.ones(1000, np.int32))[0]
+    assert max(record.box.high) <= 1.0 and max(record.oriented_box.half_sizes) < 1.0
+    np.testing.assert_allclose(record.centre, 0.5, atol=0.05)
+
+
+def test_an_edited_map_is_described_anew(rng):
+    means = rng.uniform(size=(90, 3)).astype(np.float32)
+    ids = np.repeat([1, 2, 3], 30)
+    old = inventory(means, means, ids, names={2: "mug"}, probabilities=np.full(90, 0.9, np.float32))
+    keep = ids != 1
+    new = refreshed(old, means[keep] + 1.0, means[keep], ids[keep])
+    assert [r.id for r in new] == [2, 3] and new[0].name == "mug" and new[0].confidence == pytest.approx(0.9)
+    np.testing.assert_allclose(np.subtract(new[0].centre, old[1].centre), 1.0, atol=1e-6)
 
 
 def test_no_objects():

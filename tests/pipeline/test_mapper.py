@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from ggwarp.datasets.synthetic import SyntheticOffice
+from ggwarp.map.gaussians import GaussianMap
 from ggwarp.pipeline.mapper import Mapper, MapperConfig
 from ggwarp.types import Frame
 
@@ -109,3 +110,33 @@ def test_a_frame_without_mask_still_teaches_colour(device: str, frame: Frame) ->
     for _ in range(20):
         mapper.iterate()
     assert psnr(mapper, frame) > before
+
+
+@pytest.mark.parametrize("use_identity", [True, False])
+def test_recorded_iterations_are_the_direct_ones_to_the_bit(
+    use_identity: bool, device: str, frame: Frame, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Little room, so that the map's arrays grow between recordings.
+    monkeypatch.setitem(GaussianMap.__init__.__kwdefaults__, "capacity", 4500)
+    config = MapperConfig(prune_interval=7, prune_scale=0.08)
+    mappers = [
+        Mapper(config, OFFICE.camera, device=device, use_identity=use_identity, recorded=recorded)
+        for recorded in (False, True)
+    ]
+    frames = [frame, dataclasses.replace(OFFICE[40], mask=None), OFFICE[80]]
+    capacities = set()
+    for new in frames:
+        for mapper in mappers:
+            assert new.T_wc is not None
+            mapper.insert(new, new.T_wc)
+            for _ in range(11):
+                mapper.iterate()
+        direct, recorded = mappers
+        assert direct.settle() == recorded.settle()
+        expected, got = direct.map.to_host(), recorded.map.to_host()
+        for name in expected:
+            np.testing.assert_array_equal(got[name], expected[name], err_msg=name)
+        capacities.add(direct.map.capacity)
+    assert len(capacities) > 1, "grown"
+    assert mappers[0].map.version > len(frames), "pruned"
+    assert any(mappers[1]._graphs._graphs.values()), "recorded"

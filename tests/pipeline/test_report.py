@@ -11,6 +11,8 @@ from ggwarp.evaluation.evaluate import Evaluation, FrameScore, Scores
 from ggwarp.evaluation.objects import ObjectRow
 from ggwarp.io.ply import PlyGaussians, read_ply
 from ggwarp.io.trajectory import read_tum
+from ggwarp.objects.inventory import inventory
+from ggwarp.objects.linear import LinearClassifier, read_classifier
 from ggwarp.pipeline import renders, report
 from ggwarp.types import Rendered, StepReport, Verdict
 
@@ -164,10 +166,14 @@ def test_map_and_objects(rng, tmp_path):
         colours=np.zeros((n, 3), np.float32),
         object_ids=np.repeat([0, 5], n // 2).astype(np.int32),
     )
-    report.write_map(tmp_path, gaussians, {5: "chair"})
+    assert gaussians.object_ids is not None
+    objects = inventory(gaussians.means, gaussians.colours, gaussians.object_ids, names={5: "chair"})
+    classifier = LinearClassifier(np.ones((2, 16), np.float32), np.zeros(2, np.float32), np.array([0, 5]))
+    report.write_map(tmp_path, gaussians, objects, classifier)
     np.testing.assert_array_equal(read_ply(tmp_path / "map.ply").means, gaussians.means)
     objects = json.loads((tmp_path / "objects.json").read_text())["objects"]
     assert [(o["id"], o["count"], o["class"]) for o in objects] == [(5, 25, "chair")]
+    np.testing.assert_array_equal(read_classifier(tmp_path / "classifier.npz").ids, [0, 5])
 
 
 def test_run_folders(tmp_path, monkeypatch):
