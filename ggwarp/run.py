@@ -194,15 +194,17 @@ def execute(config: RunConfig, display: Display, interruption: Interruption, sta
             raise KeyboardInterrupt
         first = next(iter(record.skipped.values()))
         raise DatasetError(f"{dataset.name}: no frame could be used; the first: {first}")
-    if record.failure is None and not interruption.requested:
-        refine(slam, config.refine, record, display, interruption)
+    refine(slam, config.refine, record, display, interruption)
+    if record.failure is not None:
+        _explain(record.failure, display)  # before saving, which may fail for the same reason
     evaluate(slam, reader, kept, record, folder, display, interruption, every=every)
     display.stage("saving")
     metrics = save(slam, record, folder, started)
     display.close()
     share = f"{len(record.reports)} of {len(indices)} frames"
     if record.failure is not None:
-        return _fail(record.failure, f"{share} are saved in {folder}")
+        display.note(f"failed after {share}; saved in {folder}")
+        return FAILED
     if interruption.requested:
         display.note(f"interrupted after {share}; saved in {folder}")
         return INTERRUPTED
@@ -234,13 +236,14 @@ def _beside(config: RunConfig, slam: Slam) -> bool:
     return config.pipelined == "on"
 
 
-def _fail(failure: Exception, saved: str) -> int:
+def _explain(failure: Exception, display: Display) -> None:
     """Say what ended the run; where it looks like a fault of ours, say where in the code, too."""
     reason = failure.__cause__ or failure
+    display.close()
     if not isinstance(reason, (DatasetError, OSError, MemoryError)):
         traceback.print_exception(reason)
     what = f"{type(reason).__name__}: {reason}" if str(reason) else type(reason).__name__
-    return _refuse(None, f"{failure}: {what}; {saved}", FAILED)
+    print(f"ggwarp: {failure}: {what}", file=sys.stderr)
 
 
 def _introduce(config: RunConfig, dataset: Dataset, frames: int, display: Display) -> None:

@@ -126,13 +126,21 @@ def _status(step: StepReport, fps: float) -> str:
 def refine(
     slam: Slam, iterations: int, record: report.RunRecord, display: Display, interruption: Interruption
 ) -> None:
-    """Fit the finished map ``iterations`` times more; Ctrl-C ends that early and the run goes on."""
-    if not iterations or not slam.can_refine:
+    """Fit the finished map ``iterations`` times more; Ctrl-C ends that early and the run goes on.
+
+    Not after an interrupted or failed run. A failure is kept in ``record``.
+    """
+    if not iterations or not slam.can_refine or interruption.requested or record.failure is not None:
         return
     display.stage("refining", iterations)
     started = time.perf_counter()
     while record.refine_iterations < iterations and not interruption.requested:
-        slam.refine()
+        try:
+            slam.refine()
+        except Exception as error:
+            record.failure = SideError("refinement", f"at iteration {record.refine_iterations}")
+            record.failure.__cause__ = error
+            break
         record.refine_iterations += 1
         display.advance()
     record.refine_s = time.perf_counter() - started

@@ -332,18 +332,45 @@ def test_a_failure_says_its_reason_and_saves_what_there_is(scene, fake, monkeypa
     monkeypatch.setattr(fake, {"tracking": "on_track", "mapping": "on_map"}[side], staticmethod(broken))
     command = ["--seq", "room9", "--device", "cpu", "--out", "o", "--refine", "5", "--pipelined", pipelined]
     assert run.main(command) == 1
-    errors = capsys.readouterr().err
+    out, errors = capsys.readouterr()
     assert "in broken" in errors, "a bug is not hidden"
+    assert errors.splitlines()[-1] == (
+        f"ggwarp: {side} failed at frame 3: ZeroDivisionError: one over nothing"
+    )
     metrics = json.loads(Path("o/metrics.json").read_text())
     frames = metrics["frames"]
     assert frames == 3 if side == "tracking" else 4 <= frames <= FRAMES
-    assert errors.splitlines()[-1] == (
-        f"ggwarp: {side} failed at frame 3: ZeroDivisionError: one over nothing; "
-        f"{frames} of 6 frames are saved in o"
-    )
+    assert out.splitlines()[-1] == f"failed after {frames} of 6 frames; saved in o"
     assert metrics["mapping_iterations"] == 3 * 3 and metrics["refine_iterations"] == 0
     assert metrics["psnr"] is None and len(read_ply(Path("o/map.ply"))) == 7
     assert set(report.OUTPUTS) <= {p.name for p in Path("o").iterdir()}
+
+
+def test_a_failed_refinement_keeps_the_map(scene, fake, monkeypatch, capsys):
+    def broken(done):
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(fake, "on_refine", staticmethod(broken))
+    assert run.main(["--seq", "room9", "--device", "cpu", "--out", "o", "--refine", "5"]) == 1
+    assert "refinement failed at iteration 0: ZeroDivisionError" in capsys.readouterr().err.splitlines()[-1]
+    assert len(read_ply(Path("o/map.ply"))) == 7
+
+
+def test_a_map_that_cannot_be_had_leaves_the_trajectory_and_the_first_reason(
+    scene, fake, monkeypatch, capsys
+):
+    def broken(index):
+        raise ZeroDivisionError("the first reason")
+
+    def gone(slam):
+        raise RuntimeError("no device any more")
+
+    monkeypatch.setattr(fake, "on_map", staticmethod(broken))
+    monkeypatch.setattr(fake, "map_arrays", gone)
+    with pytest.raises(RuntimeError, match="no device any more"):
+        run.main(["--seq", "room9", "--device", "cpu", "--out", "o"])
+    assert "the first reason" in capsys.readouterr().err.splitlines()[-1]
+    assert len(read_tum(Path("o/trajectory.txt"))[0]) == 1
 
 
 def test_a_disk_that_goes_away_needs_no_traceback(scene, fake, monkeypatch, capsys):

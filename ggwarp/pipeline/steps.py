@@ -26,15 +26,10 @@ AHEAD = 3
 
 
 class SideError(RuntimeError):
-    """One side of the system failed; ``__cause__`` has the reason.
-
-    Attributes:
-        side: "reading", "tracking" or "mapping".
-    """
+    """One side of the system failed: reading, tracking or mapping; ``__cause__`` has the reason."""
 
     def __init__(self, side: str, where: str) -> None:
         super().__init__(f"{side} failed {where}")
-        self.side = side
 
 
 def run_steps(

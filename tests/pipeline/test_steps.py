@@ -112,7 +112,7 @@ def test_the_first_failure_is_the_one_that_is_told() -> None:
     sides = Sides(fail_mapping=0, fail_tracking=1)
     sides.may_map.clear()  # until the tracker has failed, which nobody knows yet
     _, failure = run(sides, map(frame, range(3)), beside=True)
-    assert failure is not None and failure.side == "mapping"
+    assert failure is not None and str(failure) == "mapping failed at frame 0"
 
 
 @BOTH_WAYS
