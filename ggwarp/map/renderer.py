@@ -40,6 +40,7 @@ class Renderer:
         gradients: of the visible Gaussians' parameters, after :meth:`adjoint`.
         d_pose: [1] vec6, gradient (translation, rotation) of T_cw <- Exp(tau) T_cw, after :meth:`adjoint`
             with ``pose`` or :meth:`adjoint_pose`.
+        splats: the projection of the last :meth:`forward`.
         tiles: the binning.
         allocation: grows whenever arrays are allocated anew.
     """
@@ -88,7 +89,7 @@ class Renderer:
         """
         self._bin(T_cw)
         composite(
-            self._splats,
+            self.splats,
             self.tiles,
             width=self.camera.width,
             height=self.camera.height,
@@ -114,7 +115,7 @@ class Renderer:
     def _chain(self, T_cw: wp.array, outputs: dict[str, wp.array], pose: tuple[wp.array, ...]) -> None:
         m = self._map.parameters
         composite_adjoint(
-            self._splats,
+            self.splats,
             self.tiles,
             image=self.image,
             transmittance=self.transmittance,
@@ -164,13 +165,13 @@ class Renderer:
         project(
             m.means, m.quats, m.log_scales, m.opacity_logits, m.colours,
             m.identities if self._channels == 20 else None,
-            T_cw=T_cw, camera=self._intrinsics, count=self.rows, out=self._splats,
+            T_cw=T_cw, camera=self._intrinsics, count=self.rows, out=self.splats,
         )  # fmt: skip
         while True:
             try:
                 bin_splats(
-                    self._splats.tile_rects,
-                    self._splats.depths,
+                    self.splats.tile_rects,
+                    self.splats.depths,
                     count=self.rows,
                     width=self.camera.width,
                     height=self.camera.height,
@@ -186,7 +187,7 @@ class Renderer:
         if capacity == self._capacity:
             return
         self._capacity = capacity
-        self._splats = allocate_splats(capacity, self._channels, device=self._device)
+        self.splats = allocate_splats(capacity, self._channels, device=self._device)
         self.gradients = GaussianArrays(
             *(
                 wp.zeros(capacity, dtype=self._map.fields[n].dtype, device=self._device)
