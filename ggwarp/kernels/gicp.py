@@ -280,7 +280,7 @@ def se3_exp(xi: vec6d) -> wp.mat44d:
 
 
 @wp.func
-def _orthonormalised(T: wp.mat44d) -> wp.mat44d:
+def orthonormalised(T: wp.mat44d) -> wp.mat44d:
     """One Newton step towards the nearest rotation: undoes the rounding of many updates."""
     R = _rotation(T)
     S = wp.float64(1.5) * wp.identity(n=3, dtype=wp.float64) - wp.float64(0.5) * (wp.transpose(R) * R)
@@ -307,7 +307,7 @@ def _update(
     for r in range(6):
         H[r, r] += damping * H[r, r]
     xi = _solve(H, g)
-    pose[0] = _orthonormalised(pose[0] * se3_exp(xi))
+    pose[0] = orthonormalised(pose[0] * se3_exp(xi))
     step[0] = wp.sqrt(xi[0] * xi[0] + xi[1] * xi[1] + xi[2] * xi[2])
     step[1] = wp.sqrt(xi[3] * xi[3] + xi[4] * xi[4] + xi[5] * xi[5])
 
