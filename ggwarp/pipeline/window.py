@@ -23,7 +23,7 @@ class WindowConfig:
     interval: int = 4
     """A keyframe comes at least so many frames after the last one."""
     overlap: float = 0.95
-    """A moved frame is a keyframe when it shares less than this of what it and the last keyframe see (IoU)."""
+    """A moved frame is a keyframe when what it sees and what the last one sees share less than this (IoU)."""
     min_translation: float = 0.02
     """Moved means farther than this share of the median depth."""
     translation: float = 0.04
