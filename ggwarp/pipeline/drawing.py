@@ -28,28 +28,22 @@ class Drawing(Protocol):
 
 
 class RandomDrawing:
-    """The newest keyframe first, once; then any: the less a keyframe was drawn, the likelier it is."""
+    """The newest keyframe first, once; then any, at random (GS-ICP-SLAM)."""
 
-    def __init__(self, rng: np.random.Generator, *, fairness: float) -> None:
-        """Draw with probability in proportion to (1 + times drawn)^-fairness; 0 draws evenly."""
+    def __init__(self, rng: np.random.Generator) -> None:
         self._rng = rng
-        self._fairness = fairness
-        self._drawn: list[int] = []
+        self._count = 0
         self._newest_pending = False
 
     def add(self) -> None:
-        self._drawn.append(0)
+        self._count += 1
         self._newest_pending = True
 
     def draw(self) -> int:
-        chosen = len(self._drawn) - 1 if self._newest_pending else self._any()
-        self._newest_pending = False
-        self._drawn[chosen] += 1
-        return chosen
-
-    def _any(self) -> int:
-        weights = (1.0 + np.array(self._drawn, np.float64)) ** -self._fairness
-        return int(self._rng.choice(len(weights), p=weights / weights.sum()))
+        if self._newest_pending:
+            self._newest_pending = False
+            return self._count - 1
+        return int(self._rng.integers(self._count))
 
 
 class WindowDrawing:

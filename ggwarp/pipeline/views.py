@@ -6,7 +6,13 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
+import numpy as np
 import warp as wp
+from numpy.typing import NDArray
+
+from ggwarp import lie
+from ggwarp.kernels.math import vec6
+from ggwarp.types import Float64, Frame
 
 
 @dataclass(frozen=True)
@@ -15,17 +21,46 @@ class Keyframe:
 
     Attributes:
         index: the frame's.
+        has_depth: whether the frame came with depth.
         T_cw: [1] mat44, world to camera.
+        pose_moments, pose_steps: [2] vec6 and [1] int, Adam's state of that pose.
         colour: [h, w, 3] uint8.
         depth: [h, w] float, metres, 0 = none.
         labels: [h, w] int class of each pixel; None where there is no mask.
     """
 
     index: int
+    has_depth: bool
     T_cw: wp.array
+    pose_moments: wp.array
+    pose_steps: wp.array
     colour: wp.array
     depth: wp.array
     labels: wp.array | None
+
+
+def upload(frame: Frame, T_wc: Float64, labels: NDArray[np.int32] | None, *, device: Any) -> Keyframe:
+    """Copy ``frame``, seen from ``T_wc`` [4, 4], to the device.
+
+    Args:
+        labels: [h, w] class of each pixel; None where there is no mask.
+    """
+    T_cw = lie.inverse(T_wc).astype(np.float32)
+    depth = np.zeros(frame.rgb.shape[:2], np.float32) if frame.depth is None else frame.depth
+    row: Any = vec6
+    return Keyframe(
+        index=frame.index,
+        has_depth=frame.depth is not None,
+        T_cw=wp.array(T_cw[None], dtype=wp.mat44, device=device),
+        pose_moments=wp.zeros(2, dtype=row, device=device),
+        pose_steps=wp.zeros(1, dtype=wp.int32, device=device),
+        colour=wp.array(frame.rgb, dtype=wp.uint8, device=device),
+        depth=wp.array(depth, dtype=float, device=device),
+        labels=None if labels is None else wp.array(labels, dtype=int, device=device),
+    )
+
+
+_POSE = ("T_cw", "pose_moments", "pose_steps")
 
 
 class Stage:
@@ -45,3 +80,8 @@ class Stage:
                 wp.copy(self._arrays[name], array)
                 staged[name] = self._arrays[name]
         return replace(keyframe, **staged)
+
+    def store_pose(self, keyframe: Keyframe) -> None:
+        """Copy the pose and its state, which the recorded work changed, back to ``keyframe``."""
+        for name in _POSE:
+            wp.copy(getattr(keyframe, name), self._arrays[name])

@@ -2,7 +2,6 @@
 from collections import Counter
 
 import numpy as np
-import pytest
 
 from ggwarp.map.covisibility import Sight
 from ggwarp.pipeline.drawing import RandomDrawing, WindowDrawing
@@ -11,27 +10,13 @@ from ggwarp.types import Float64
 
 
 def test_the_newest_comes_first_and_once(rng: np.random.Generator) -> None:
-    drawing = RandomDrawing(rng, fairness=0.0)
+    drawing = RandomDrawing(rng)
     for _ in range(50):
         drawing.add()
     assert drawing.draw() == 49
     drawing.add()
     assert drawing.draw() == 50
     assert Counter(drawing.draw() for _ in range(200)).most_common(1)[0][1] < 30
-
-
-@pytest.mark.parametrize("fairness, later", [(0.0, 0.5), (1.0, 0.9)])
-def test_fairness_prefers_what_was_drawn_less(
-    rng: np.random.Generator, fairness: float, later: float
-) -> None:
-    drawing = RandomDrawing(rng, fairness=fairness)
-    drawing.add()
-    for _ in range(1000):
-        drawing.draw()
-    drawing.add()
-    share = np.mean([drawing.draw() == 1 for _ in range(100)])
-    assert share > later - 0.15
-    assert fairness > 0.0 or share < later + 0.15
 
 
 def drawing_along_a_corridor(rng: np.random.Generator, steps: int) -> WindowDrawing:
