@@ -4,6 +4,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from ggwarp import lie
 from ggwarp.datasets.synthetic import SyntheticOffice
 from ggwarp.map.gaussians import GaussianMap
 from ggwarp.pipeline.mapper import Mapper, MapperConfig
@@ -136,7 +137,23 @@ def test_recorded_iterations_are_the_direct_ones_to_the_bit(
         expected, got = direct.map.to_host(), recorded.map.to_host()
         for name in expected:
             np.testing.assert_array_equal(got[name], expected[name], err_msg=name)
+        np.testing.assert_array_equal(recorded.keyframe_pose(-1), direct.keyframe_pose(-1))
         capacities.add(direct.map.capacity)
     assert len(capacities) > 1, "grown"
     assert mappers[0].map.version > len(frames), "pruned"
     assert any(mappers[1]._fitter._graphs._graphs.values()), "recorded"
+
+
+def test_a_keyframe_s_pose_is_fitted_with_the_map(device: str, frame: Frame) -> None:
+    mapper = made(device, MapperConfig(pose_rates=(1e-3, 1e-3)), use_identity=False)
+    assert frame.T_wc is not None
+    mapper.insert(frame, frame.T_wc)
+    for _ in range(60):
+        mapper.iterate()
+    wrong = frame.T_wc @ lie.se3_exp([0.01, -0.006, 0.0, 0.0, 0.0, 0.0])
+    mapper.insert(dataclasses.replace(frame, index=1), wrong)
+    for _ in range(100):
+        mapper.iterate()
+    error = np.linalg.norm(mapper.keyframe_pose(1)[:3, 3] - frame.T_wc[:3, 3])
+    assert error < 0.5 * np.linalg.norm(wrong[:3, 3] - frame.T_wc[:3, 3])
+    np.testing.assert_allclose(mapper.keyframe_pose(0), frame.T_wc, atol=1e-6)
