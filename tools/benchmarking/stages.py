@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ import warp as wp
 from benchmarking.scene import Load, load_of
 from ggwarp.kernels.adam import AdamRates, adam_gaussians
 from ggwarp.kernels.composite import composite, composite_adjoint
+from ggwarp.kernels.graph import GraphCache
 from ggwarp.kernels.loss import LOSS_COUNT, rgbd_loss
 from ggwarp.kernels.math import vec16
 from ggwarp.kernels.project import intrinsics_of, project
@@ -51,6 +53,7 @@ class Stages:
         self._slots = allocate_slot_gradients(
             self._renderer.tiles.capacity, self.channels, device=self._device
         )
+        self._graphs = GraphCache(self._device)
         self._losses = self._array(np.zeros(LOSS_COUNT), float)
         self._workspace = allocate_loss(camera.height, camera.width, device=self._device)
         self._colour, self._depth = self._array(frame.rgb, wp.uint8), self._array(frame.depth, float)
@@ -64,21 +67,36 @@ class Stages:
 
     def works(self) -> dict[str, Callable[[], object]]:
         """Return name -> stage, in the order of an iteration; all can be repeated."""
-        stages: dict[str, Callable[[], object]] = {
+        with_identity = self._classifier is not None
+        stages: dict[str, Callable[[], None]] = {
             "project": self._project,
             "bin": self._bin,
             "composite": self._composite,
             "loss": self._loss,
+            **({"cross-entropy": self._cross_entropy} if with_identity else {}),
+            "composite adjoint": self._composite_adjoint,
+            "project adjoint": self._project_adjoint,
+            **({"KL": self._divergence} if with_identity else {}),
+            "Adam": self._adam,
         }
-        if self._classifier is not None:
-            stages["cross-entropy"] = self._cross_entropy
-        stages |= {"composite adjoint": self._composite_adjoint, "project adjoint": self._project_adjoint}
-        if self._classifier is not None:
-            stages["KL"] = self._divergence
-        return stages | {"Adam": self._adam}
+        works: dict[str, Callable[[], object]] = {}
+        works |= {name: partial(self._run, name, stage) for name, stage in stages.items()}
+        if with_identity:
+            works["KL"] = self._draw_and_compare
+        return works
 
     def forward_and_adjoint(self) -> None:
         """Render and take the gradient back, as the mapper does."""
+        self._run("forward and adjoint", self._pass)
+
+    def _run(self, name: str, stage: Callable[[], None]) -> None:
+        """Do a stage; on CUDA by replaying a recording, as the mapper does."""
+        if self._device.is_cpu:
+            stage()
+        else:
+            self._graphs.run(name, stage, arrays=self._renderer.allocation)
+
+    def _pass(self) -> None:
         self._renderer.forward(self._T_cw)
         self._renderer.adjoint(self._T_cw)
 
@@ -151,9 +169,14 @@ class Stages:
             d_opacity_logits=g.opacity_logits, d_colours=g.colours, d_identities=g.identities,
         )  # fmt: skip
 
+    def _draw_and_compare(self) -> None:
+        assert self._classifier is not None
+        self._classifier.begin_3d(0)
+        self._run("KL", self._divergence)
+
     def _divergence(self) -> None:
         assert self._classifier is not None
-        self._classifier.evaluate_3d(self._renderer, self._losses, 0)
+        self._classifier.evaluate_3d(self._renderer, self._losses)
 
     def _adam(self) -> None:
         adam_gaussians(
@@ -161,7 +184,7 @@ class Stages:
             self._renderer.gradients,
             self._map.adam_state,
             rates=self._rates,
-            ranks=self._renderer.tiles.ranks,
+            ranks=self._renderer.ranks,
             device=self._device,
         )
 

@@ -82,7 +82,9 @@ def measure(
         _sample(work, work.batch, device)
         batches[name] = work.batch
         if not device.is_cpu:
-            batches[name] *= max(1, round(_MIN_CUDA_S / max(_sample(work, work.batch, device), 1e-7)))
+            # What is recorded and replayed comes to its pace at the third run only.
+            seconds = [_sample(work, work.batch, device) for _ in range(3)][-1]
+            batches[name] *= max(1, round(_MIN_CUDA_S / max(seconds * work.batch, 1e-7)))
     samples: dict[str, list[float]] = {name: [] for name in todo}
     started = time.perf_counter()
     for done in range(rounds):
