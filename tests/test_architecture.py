@@ -66,6 +66,12 @@ def test_tracker_and_mapper_never_meet():
         assert not any(name.startswith(f"ggwarp.pipeline.{other}") for name in names)
 
 
+def test_the_device_is_read_on_its_current_stream():
+    for room in ("map", "objects", "pipeline"):
+        for path in (PACKAGE / room).glob("*.py"):
+            assert ".numpy()" not in path.read_text(), f"{path}: kernels.streams.to_host(array) instead"
+
+
 def test_only_ops_need_torch():
     users = {_room(p) for p in FILES if any(n.split(".")[0] == "torch" for n in _imports(p))}
     assert users <= {"ops", "evaluation"}, "evaluation: for LPIPS alone"

@@ -13,12 +13,13 @@ import warp as wp
 
 
 def to_host(array: Any) -> np.ndarray:
-    """Return a copy of ``array`` as NumPy; waits for its device's current stream, and for no other.
+    """Return ``array`` as NumPy; waits for its device's current stream, and for no other.
 
-    ``array.numpy()`` copies on CUDA's default stream instead, which waits for every stream.
+    ``array.numpy()`` makes CUDA's default stream the current one for a while instead, which waits for every
+    stream and would catch what other threads launch. On a CPU the array's own memory is returned.
     """
     if array.device.is_cpu:
-        return array.numpy().copy()
+        return array.numpy()
     host = wp.empty(array.shape, dtype=array.dtype, device="cpu")
     wp.copy(host, array)
     wp.synchronize_stream(array.device.stream)

@@ -8,6 +8,7 @@ from typing import Any
 import warp as wp
 
 from ggwarp.kernels import compact
+from ggwarp.kernels.streams import to_host
 
 
 def kept_indices(flags: Any, count: int) -> tuple[int, Any]:
@@ -25,7 +26,7 @@ def kept_indices(flags: Any, count: int) -> tuple[int, Any]:
     if count == 0:
         return 0, indices
     compact.index_kept(flags[:count], positions=positions, indices=indices, device=flags.device)
-    return int(positions[count - 1 :].numpy()[0]), indices
+    return int(to_host(positions[count - 1 :])[0]), indices
 
 
 def gathered(array: Any, indices: Any, kept: int) -> Any:

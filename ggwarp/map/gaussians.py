@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ggwarp.kernels.adam import AdamState, GaussianArrays
 from ggwarp.kernels.math import vec16
+from ggwarp.kernels.streams import to_host
 from ggwarp.map.compaction import gathered, kept_indices
 
 PARAMETERS: dict[str, Any] = {
@@ -139,7 +140,7 @@ class GaussianMap:
 
     def to_host(self) -> dict[str, NDArray[Any]]:
         """Return copies of the parameters' rows in use, as NumPy arrays."""
-        return {n: self.fields[n].numpy()[: self.count].copy() for n in PARAMETERS if n in self.fields}
+        return {n: to_host(self.fields[n])[: self.count].copy() for n in PARAMETERS if n in self.fields}
 
     def _reallocate(self, capacity: int) -> None:
         for name, old in self.fields.items():

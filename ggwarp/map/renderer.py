@@ -144,7 +144,7 @@ class Renderer:
 
     def plane(self, array: wp.array) -> Float32:
         """Return a copy of a plane or image, without its padding."""
-        return array.numpy()[..., : self.camera.height, : self.camera.width].copy()
+        return to_host(array)[..., : self.camera.height, : self.camera.width].copy()
 
     def make_room(self) -> bool:
         """Allocate the tile slots that renders so far lacked; wait for the device. True if they did."""

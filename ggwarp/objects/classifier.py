@@ -17,6 +17,7 @@ from ggwarp.kernels.identity import cross_entropy
 from ggwarp.kernels.identity_kl import neighbour_divergence
 from ggwarp.kernels.loss import OBJECT
 from ggwarp.kernels.math import vec16
+from ggwarp.kernels.streams import to_host
 from ggwarp.map.gaussians import SH_C0, GaussianMap
 from ggwarp.map.renderer import Renderer
 from ggwarp.map.workspaces import allocate_identity, allocate_neighbours
@@ -190,7 +191,7 @@ class Classifier:
             probabilities=probabilities,
             device=self._device,
         )
-        return np.asarray(labels.numpy(), np.int32)
+        return np.asarray(to_host(labels), np.int32)
 
     def classify_map(self) -> tuple[NDArray[np.int32], Float32]:
         """Return [n] the likeliest class of each Gaussian and [n] its probability."""
@@ -206,12 +207,12 @@ class Classifier:
             probabilities=probabilities,
             device=self._device,
         )
-        return np.asarray(labels.numpy(), np.int32), np.asarray(probabilities.numpy(), np.float32)
+        return np.asarray(to_host(labels), np.int32), np.asarray(to_host(probabilities), np.float32)
 
     def to_host(self) -> tuple[Float32, Float32]:
         """Return copies of W [count, 16] and b [count]."""
         n = self.count
-        return self._weights.numpy()[:n].copy(), self._biases.numpy()[:n].copy()
+        return to_host(self._weights)[:n].copy(), to_host(self._biases)[:n].copy()
 
     def _allocate(self, capacity: int) -> None:
         def zeros(shape: Any, dtype: Any) -> wp.array:
@@ -228,11 +229,11 @@ class Classifier:
 
     def _enlarge(self, capacity: int) -> None:
         names = ("_weights", "_biases", "_weight_moments", "_bias_moments", "_steps")
-        old = {name: getattr(self, name).numpy().copy() for name in names}
+        old = {name: to_host(getattr(self, name)).copy() for name in names}
         self._allocate(capacity)
         self._image_workspace = None
         for name, values in old.items():
             array = getattr(self, name)
-            grown = array.numpy().copy()
+            grown = to_host(array).copy()
             grown[tuple(slice(s) for s in values.shape)] = values
             array.assign(grown)

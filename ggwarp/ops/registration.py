@@ -13,6 +13,7 @@ import numpy as np
 import warp as wp
 
 from ggwarp.kernels import covariance, gicp, neighbours
+from ggwarp.kernels.streams import to_host
 from ggwarp.types import Float64
 
 
@@ -153,12 +154,12 @@ def register(
             )
             gicp.update_pose(system, damping=0.0, pose=pose, step=step, device=device)
             iterations += 1
-            converged = bool(step.numpy().max() < stage.tolerance)
+            converged = bool(to_host(step).max() < stage.tolerance)
             if converged:
                 break
-    numbers: Float64 = np.asarray(system.numpy(), np.float64)
+    numbers: Float64 = np.asarray(to_host(system), np.float64)
     return Registration(
-        T_wc=pose.numpy()[0].copy(),
+        T_wc=to_host(pose)[0].copy(),
         information=unpack_information(numbers),
         cost=float(numbers[27]),
         matched=int(numbers[28]),
@@ -182,7 +183,7 @@ def match_distances2(cloud: Cloud, target: Target, T_wc: Float64, *, radius: flo
     gicp.match_points(
         cloud.points, target.grid, pose, radius=radius, matches=matches, distances2=distances2, device=device
     )
-    return distances2.numpy()
+    return to_host(distances2)
 
 
 def _empty(shape: Any, dtype: Any, device: Any) -> Any:

@@ -15,6 +15,7 @@ from ggwarp.kernels.composite import composite, composite_adjoint
 from ggwarp.kernels.math import vec6, vec16
 from ggwarp.kernels.project import TILE, Splats, intrinsics_of, project
 from ggwarp.kernels.project_adjoint import pose_levels, project_adjoint
+from ggwarp.kernels.streams import to_host
 from ggwarp.kernels.tiles import TileArrays, TileCapacityError, bin_splats, tiles_across
 from ggwarp.ops.workspace import allocate_slot_gradients, allocate_splats, allocate_tiles
 from ggwarp.types import Camera
@@ -126,7 +127,7 @@ def _binned(splats: Splats, count: int, camera: Camera, device: Any) -> TileArra
             continue
         if device.is_cpu:
             return tiles
-        _, needed, overflow, _ = tiles.counts.numpy().tolist()
+        _, needed, overflow, _ = to_host(tiles.counts).tolist()
         if not overflow:
             return tiles
         slots = needed
@@ -197,7 +198,7 @@ class _Render(torch.autograd.Function):
         with _on_stream_of(image):
             arrays = _views(parameters)
             device = arrays[0].device
-            pairs = int(tiles.counts.numpy()[1])
+            pairs = int(to_host(tiles.counts)[1])
             slots = allocate_slot_gradients(pairs, channels, device=device)
             composite_adjoint(
                 splats,

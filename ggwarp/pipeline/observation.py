@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 
 from ggwarp.kernels import covariance, depth, neighbours
+from ggwarp.kernels.streams import to_host
 from ggwarp.ops.registration import Cloud
 from ggwarp.types import Camera, Float32
 
@@ -84,9 +85,9 @@ def observe(image: Float32, camera: Camera, config: ObservationConfig, *, device
         pixels=pixels,
         device=device,
     )
-    n = int(flags[-1:].numpy()[0] + slots[-1:].numpy()[0])
+    n = int(to_host(flags[-1:])[0] + to_host(slots[-1:])[0])
     points, pixels = points[:n], pixels[:n]
-    spacing = float(np.median(points.numpy()[:, 2])) * stride / camera.fx if n else 0.0
+    spacing = float(np.median(to_host(points)[:, 2])) * stride / camera.fx if n else 0.0
     quats, scales = _ellipses(points, spacing, config, device)
     spreads = _spreads(points, scales, config, device)
     covariances = _empty(n, wp.mat33, device)

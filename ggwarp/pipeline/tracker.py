@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ggwarp import lie
+from ggwarp.kernels.streams import to_host
 from ggwarp.ops.registration import Registration, Stage, Target, build_target, match_distances2, register
 from ggwarp.pipeline.observation import Observation, ObservationConfig, observe
 from ggwarp.types import Camera, Float32, Float64, Frame, MapSnapshot, TrackResult, Verdict
@@ -270,10 +271,10 @@ def _result(
         overlap=_overlap(distances2),
         rmse=float(np.sqrt(matched.mean(dtype=np.float64))) if len(matched) else 0.0,
         iterations=fit.iterations if fit else 0,
-        points=lie.transform_points(T_cd, seen.cloud.points.numpy()).astype(np.float32),
-        quats=lie.rotate_quats(T_cd[:3, :3], seen.quats.numpy()).astype(np.float32),
-        scales=seen.scales.numpy(),
-        spreads=seen.spreads.numpy(),
+        points=lie.transform_points(T_cd, to_host(seen.cloud.points)).astype(np.float32),
+        quats=lie.rotate_quats(T_cd[:3, :3], to_host(seen.quats)).astype(np.float32),
+        scales=to_host(seen.scales),
+        spreads=to_host(seen.spreads),
         distances2=distances2,
-        pixels=seen.pixels.numpy(),
+        pixels=to_host(seen.pixels),
     )
