@@ -73,7 +73,9 @@ class Mapper:
         self._config = config
         self._camera = camera
         self._device = wp.get_device(device)
+        # Two streams: identities must not change which keyframes are drawn.
         self._rng = np.random.default_rng(config.seed)
+        self._identity_rng = np.random.default_rng((config.seed, 3))
         self.map = GaussianMap(device=device, has_identity=use_identity)
         self.classes = ClassTable()
         self.classifier = Classifier(config.classifier, self.map, seed=config.seed) if use_identity else None
@@ -111,7 +113,7 @@ class Mapper:
             self._config.seeding,
             codes=None if self.classifier is None else self.classifier.codes,
             classes=classes,
-            rng=self._rng,
+            rng=self._identity_rng,
         )
         self.map.append(batch)
         self._fitter.add(upload(frame, T_wc, classes, device=self._device))

@@ -113,6 +113,23 @@ def test_a_frame_without_mask_still_teaches_colour(device: str, frame: Frame) ->
     assert psnr(mapper, frame) > before
 
 
+def test_identities_that_teach_nothing_change_nothing_else(device: str, frame: Frame) -> None:
+    """The same Gaussians are seeded and the same keyframes are drawn as without identities."""
+    silent = dataclasses.replace(MapperConfig().classifier, weight=0.0, weight_3d=0.0)
+    config = MapperConfig(classifier=silent, prune_interval=11)
+    mappers = [made(device, config, use_identity=use) for use in (True, False)]
+    for new in (frame, OFFICE[5], OFFICE[10]):
+        for mapper in mappers:
+            assert new.T_wc is not None
+            mapper.insert(new, new.T_wc)
+            for _ in range(8):
+                mapper.iterate()
+    identified, plain = (mapper.map.to_host() for mapper in mappers)
+    for name, expected in plain.items():
+        if expected is not None:
+            np.testing.assert_array_equal(identified[name], expected, err_msg=name)
+
+
 @pytest.mark.parametrize("use_identity", [True, False])
 def test_recorded_iterations_are_the_direct_ones_to_the_bit(
     use_identity: bool, device: str, frame: Frame, monkeypatch: pytest.MonkeyPatch
