@@ -32,34 +32,34 @@ def composite(
     image: wp.array,
     transmittance: wp.array,
     median_depth: wp.array,
+    identities: wp.array | None = None,
     cooperative: bool | None = None,
 ) -> None:
     """Blend binned splats into planar images, each padded to whole tiles.
 
     Args:
-        splats: the projection; C is 4 or 20.
+        splats: the projection.
         tiles: its binning.
         width, height: image size, pixels.
         image: [C, Hp, Wp] out.
         transmittance: [Hp, Wp] out: what is left of a ray behind all splats.
         median_depth: [Hp, Wp] out: depth at the pixel of the first splat after which T < 0.5, metres; 0
             where none.
+        identities: [n] vec16 of the Gaussians, blended as channels 4 to 19; with None, C is 4.
         cooperative: take the form for CUDA; the default does on CUDA alone. On the CPU that form needs
             ``wp.config.enable_cpu_blocks`` and is slow: it is for tests.
 
     Raises:
         ValueError: the channels or the padded size do not fit.
     """
-    channels = _check(splats, image, width, height)
+    channels = _check(identities, image, width, height)
     inputs = [
         tiles_across(width),
         tiles.pair_slots,
         tiles.slot_gaussians,
         tiles.tile_ranges,
-        splats.means2d,
-        splats.conics,
-        splats.slopes,
-        splats.features,
+        splats.rows,
+        identities,
     ]
     kernels = (composite_cpu.KERNELS[channels], composite_cuda.FORWARD[channels])
     _launch(kernels, tiles, inputs, [image, transmittance, median_depth], cooperative)
@@ -74,6 +74,8 @@ def composite_adjoint(
     d_image: wp.array,
     d_transmittance: wp.array,
     out: SlotGradients,
+    identities: wp.array | None = None,
+    identity_shapes: bool = True,
     cooperative: bool | None = None,
 ) -> None:
     """Chain the gradients of :func:`composite`'s images to every slot's splat.
@@ -83,28 +85,30 @@ def composite_adjoint(
         d_image: [C, Hp, Wp], zero in the padding.
         d_transmittance: [Hp, Wp], zero in the padding.
         out: written for every slot of ``tiles``, zeros where nothing was seen.
+        identities: as in :func:`composite`.
+        identity_shapes: False keeps the gradient of the identity channels from what shapes the splats
+            (means, conics, opacities, slopes): it reaches ``out.identities`` alone.
         cooperative: as in :func:`composite`.
 
     Raises:
         ValueError: the channels or the padded size do not fit.
     """
-    channels = _check(splats, image, image.shape[2], image.shape[1])
+    channels = _check(identities, image, image.shape[2], image.shape[1])
     inputs = [
         tiles_across(image.shape[2]),
         tiles.pair_slots,
         tiles.slot_gaussians,
         tiles.tile_ranges,
-        splats.means2d,
-        splats.conics,
-        splats.slopes,
-        splats.features,
+        splats.rows,
+        identities,
         image,
         transmittance,
         d_image,
         d_transmittance,
+        int(identity_shapes),
     ]
     kernels = (composite_cpu_adjoint.KERNELS[channels], composite_cuda.ADJOINT[channels])
-    _launch(kernels, tiles, inputs, [out.d_means2d, out.d_conics, out.d_slopes, out.d_features], cooperative)
+    _launch(kernels, tiles, inputs, [out.rows, out.identities], cooperative)
 
 
 def _launch(
@@ -131,11 +135,9 @@ def _launch(
         launch_split(per_tile, count, inputs=inputs, outputs=outputs, device=device, min_piece=_MIN_TILES)
 
 
-def _check(splats: Splats, image: wp.array, width: int, height: int) -> int:
+def _check(identities: wp.array | None, image: wp.array, width: int, height: int) -> int:
     """Return the number of channels."""
-    channels = splats.features.shape[1]
-    if channels not in composite_cuda.FORWARD:
-        raise ValueError(f"features: {channels} channels, but 4 or 20 are composited")
+    channels = 4 if identities is None else 20
     needed = (channels, 16 * tiles_across(height), 16 * tiles_across(width))
     if image.shape != needed:
         raise ValueError(f"image: {image.shape}, but {needed} is needed")

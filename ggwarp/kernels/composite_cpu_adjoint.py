@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The adjoint of compositing in the form for a CPU: a task is a tile.
 
-Splats are outermost, front to back: the gradients of a splat stay in registers while its patches are
-walked, and are reduced over the lanes once, all together.
+Patches are outermost, as in the forward form. With q_i = f_i . d_image and w_i = alpha_i T_i, the loss
+changes with alpha_i by T_i q_i - R_i / (1 - alpha_i), where R_i is what the splats behind i and the
+transmittance add to the loss: d_image . image + d_T T less the w q of the splats up to i. One scalar a
+pixel, and no division by T.
 
-With q_i = f_i . d_image and w_i = alpha_i T_i, the loss changes with alpha_i by
-T_i q_i - R_i / (1 - alpha_i), where R_i is what the splats behind i and the transmittance add to the
-loss: d_image . image + d_T T less the w q of the splats up to i. One scalar a pixel, and no division by T.
+A patch's list is walked four times, each time with what it needs in registers: the products q, lanes
+being pixels; w and d loss / d ln alpha, front to back; then the sums over pixels, where lanes are
+*gradients*: each pixel adds its row of d_image, or of the monomials 1, x, y, x^2, xy, y^2 that shape
+gradients are made of, times one number. So nothing is ever summed across lanes.
 """
 
 import warp as wp
@@ -14,157 +17,45 @@ import warp as wp
 from ggwarp.kernels.composite_patches import (
     ALPHA_MAX,
     DEPTH,
-    LOG_ALPHA_MIN,
-    OPACITY_MIN,
+    LINE,
     OPTIONS,
     TRANSMITTANCE_MIN,
     aligned,
+    any_at_least,
     first_quad,
-    fold_1,
-    fold_2,
-    fold_4,
-    fold_8,
-    gathered,
     load_patch,
     make_exp,
+    on_tile,
     patch_rect,
     patch_x,
     patch_y,
-    quadratic,
+    shape_gradients,
     vec8,
 )
 from ggwarp.kernels.math import vec16
+from ggwarp.kernels.project import LOG_ALPHA_MIN
 
 wp.set_module_options(OPTIONS)
 
-CHUNK = 32
-"""Splats that are fetched at a time: enough to overlap the waits for memory."""
+CHUNK = 64
+"""Splats that are listed at a time."""
 
-LINE = wp.constant(wp.uint64(64))
+mat16 = wp.types.matrix((16, 16), wp.float32)
+mat16x8 = wp.types.matrix((16, 8), wp.float32)
+
+
+@wp.func
+def _centred(patch: int, lane: int) -> wp.vec2:
+    """A pixel's place from the tile's centre: moments about the splat follow with the least cancellation."""
+    return wp.vec2(float((patch & 3) * 4 + (lane & 3)) - 7.5, float((patch >> 2) * 4 + (lane >> 2)) - 7.5)
 
 
 def _make(channels: int):
-    patch_channels = wp.types.matrix((channels, 16), wp.float32)
-    feature_row = wp.types.vector(channels, wp.float32)
+    lines = 2 if channels == 20 else 1
+    head_rows = wp.types.matrix((4, 16), wp.float32)
+    tile_lines = 16 * (24 + 32 * (lines - 1)) + 1
+    chunk_lines = CHUNK * (2 * lines + 3) + 1
     exp = make_exp()
-    groups, grouped = channels // 4, channels // 4 * 4
-    # Folding leaves the totals of 16 vectors in bit-reversed order: quantity k goes to places[k].
-    results = 1 if channels + 8 <= 16 else 2
-    places = [r + results * int(f"{k:04b}"[::-1], 2) for r in range(results) for k in range(16)]
-    moments = [places[channels + k] for k in range(8)]
-
-    # Each function is called once, so that LLVM inlines it.
-    @wp.func
-    def take_products(f: feature_row, rect: wp.vec4i, g: wp.array[patch_channels], products: wp.array[vec16]):
-        """q of the splat at every pixel of its patches."""
-        for y in range(rect[1], rect[3]):
-            for x in range(rect[0], rect[2]):
-                patch = y * 4 + x
-                gp = g[patch]
-                q = vec16()
-                for c in range(groups):
-                    part = gp[4 * c] * f[4 * c]
-                    for i in range(1, 4):
-                        part += gp[4 * c + i] * f[4 * c + i]
-                    q += part
-                for c in range(grouped, channels):
-                    q += gp[c] * f[c]
-                products[patch] = q
-
-    @wp.func
-    def walk(
-        s: vec8,
-        rect: wp.vec4i,
-        g_rows: wp.array[vec16],
-        products: wp.array[vec16],
-        transmittances: wp.array[vec16],
-        behind: wp.array[vec16],
-        weights: wp.array[vec16],
-        sums: wp.array[vec16],
-    ):
-        """Pass the splat: write its weights, and the moments of what shapes it, still by lane.
-
-        They are those of d loss / d ln alpha, then the gradient of the depth's slope.
-        """
-        m0 = vec16()
-        mx = vec16()
-        my = vec16()
-        mxx = vec16()
-        mxy = vec16()
-        myy = vec16()
-        slope_x = vec16()
-        slope_y = vec16()
-        for y in range(rect[1], rect[3]):
-            for x in range(rect[0], rect[2]):
-                patch = y * 4 + x
-                dx = patch_x(patch) - vec16(s[0])
-                dy = patch_y(patch) - vec16(s[1])
-                power = wp.cw_mul(dx, dx * s[2] + dy * s[3]) + wp.cw_mul(dy, dy * s[4]) + vec16(s[5])
-                raw = exp(power)
-                T = transmittances[patch]
-                d_depth = g_rows[patch * channels + DEPTH]
-                q = products[patch] + wp.cw_mul(d_depth, dx * s[6] + dy * s[7])
-                rest = behind[patch]
-                w = vec16()
-                d = vec16()
-                for j in range(16):
-                    counted = power[j] >= LOG_ALPHA_MIN and T[j] >= TRANSMITTANCE_MIN
-                    alpha = wp.where(counted, wp.min(raw[j], ALPHA_MAX), 0.0)
-                    w[j] = alpha * T[j]
-                    rest[j] = rest[j] - w[j] * q[j]
-                    d_alpha = T[j] * q[j] - rest[j] / (1.0 - alpha)
-                    d[j] = wp.where(raw[j] < ALPHA_MAX, alpha * d_alpha, 0.0)
-                    T[j] = T[j] - w[j]
-                transmittances[patch] = T
-                behind[patch] = rest
-                weights[patch] = w
-                dx_d = wp.cw_mul(d, dx)
-                dy_d = wp.cw_mul(d, dy)
-                m0 += d
-                mx += dx_d
-                my += dy_d
-                mxx += wp.cw_mul(dx_d, dx)
-                mxy += wp.cw_mul(dx_d, dy)
-                myy += wp.cw_mul(dy_d, dy)
-                d_rise = wp.cw_mul(w, d_depth)
-                slope_x += wp.cw_mul(d_rise, dx)
-                slope_y += wp.cw_mul(d_rise, dy)
-        sums[wp.static(moments[0])] = m0
-        sums[wp.static(moments[1])] = mx
-        sums[wp.static(moments[2])] = my
-        sums[wp.static(moments[3])] = mxx
-        sums[wp.static(moments[4])] = mxy
-        sums[wp.static(moments[5])] = myy
-        sums[wp.static(moments[6])] = slope_x
-        sums[wp.static(moments[7])] = slope_y
-
-    @wp.func
-    def take_weighted(
-        rect: wp.vec4i, g: wp.array[patch_channels], weights: wp.array[vec16], sums: wp.array[vec16]
-    ):
-        """The gradient of the splat's features, still by lane."""
-        acc = patch_channels()
-        for y in range(rect[1], rect[3]):
-            for x in range(rect[0], rect[2]):
-                patch = y * 4 + x
-                w = weights[patch]
-                gp = g[patch]
-                for c in range(channels):
-                    acc[c] += wp.cw_mul(w, gp[c])
-        for c in range(channels):
-            sums[wp.static(places[c])] = acc[c]
-
-    @wp.func
-    def fold(sums: wp.array[vec16], halves: int):
-        """Sum over lanes; ``halves`` is half the vectors."""
-        for i in range(halves):
-            sums[i] = fold_8(sums[i], sums[i + halves])
-        for i in range(halves // 2):
-            sums[i] = fold_4(sums[i], sums[i + halves // 2])
-        for i in range(halves // 4):
-            sums[i] = fold_2(sums[i], sums[i + halves // 4])
-        for i in range(halves // 8):
-            sums[i] = fold_1(sums[i], sums[i + halves // 8])
 
     @wp.kernel(name=f"composite_cpu_adjoint_{channels}")
     def adjoint(
@@ -173,103 +64,253 @@ def _make(channels: int):
         pair_slots: wp.array[int],
         slot_gaussians: wp.array[int],
         tile_ranges: wp.array[wp.vec2i],
-        means2d: wp.array[wp.vec2],
-        conics: wp.array[wp.vec4],
-        slopes: wp.array[wp.vec2],
-        features: wp.array2d[float],
+        rows: wp.array[vec16],
+        identities: wp.array[vec16],
         image: wp.array3d[float],
         transmittance: wp.array2d[float],
         d_image: wp.array3d[float],
         d_transmittance: wp.array2d[float],
-        slot_d_means2d: wp.array[wp.vec2],
-        slot_d_conics: wp.array[wp.vec4],
-        slot_d_slopes: wp.array[wp.vec2],
-        slot_d_features: wp.array2d[float],
+        identity_shapes: int,
+        slot_rows: wp.array[vec16],
+        slot_identities: wp.array[vec16],
     ):
         tile = offset + wp.tid()
         tile_y = tile // tiles_x
         tile_x = tile - tile_y * tiles_x
         quads = image.shape[2] / 4
         plane = image.shape[1] * quads
-        feature_rows = wp.array(ptr=features.ptr, shape=(features.shape[0],), dtype=feature_row)
-        d_features = wp.array(ptr=slot_d_features.ptr, shape=(slot_d_features.shape[0],), dtype=feature_row)
         image_quads = wp.array(ptr=image.ptr, shape=(channels * plane,), dtype=wp.vec4)
         d_image_quads = wp.array(ptr=d_image.ptr, shape=(channels * plane,), dtype=wp.vec4)
         T_quads = wp.array(ptr=transmittance.ptr, shape=(plane,), dtype=wp.vec4)
         d_T_quads = wp.array(ptr=d_transmittance.ptr, shape=(plane,), dtype=wp.vec4)
-        memory = wp.zeros(shape=wp.static(16 * channels + 4 * 16 + 16 * results + 1), dtype=vec16)
+        # Strides that are known make short addresses.
+        slot_list = wp.array(ptr=pair_slots.ptr, shape=(pair_slots.shape[0],), dtype=int)
+        gaussian_list = wp.array(ptr=slot_gaussians.ptr, shape=(slot_gaussians.shape[0],), dtype=int)
+        row_lines = wp.array(ptr=rows.ptr, shape=(rows.shape[0],), dtype=vec16)
+        identity_lines = wp.array(ptr=identities.ptr, shape=(identities.shape[0],), dtype=vec16)
+        slot_lines = wp.array(ptr=slot_rows.ptr, shape=(slot_rows.shape[0],), dtype=vec16)
+        slot_identity_lines = wp.array(
+            ptr=slot_identities.ptr, shape=(slot_identities.shape[0],), dtype=vec16
+        )
+
+        # Of the tile: gradients of the planes by patch, pixels in lanes; by pixel, in lanes channels;
+        # the rows that w and d loss / d ln alpha multiply; T and R.
+        memory = wp.zeros(shape=tile_lines, dtype=vec16)
         address = aligned(memory.ptr)
-        g = wp.array(ptr=address, shape=(16,), dtype=patch_channels)
-        g_rows = wp.array(ptr=address, shape=(16 * channels,), dtype=vec16)
-        address += wp.uint64(16 * channels) * LINE
-        transmittances = wp.array(ptr=address, shape=(16,), dtype=vec16)
-        # R of the splat at hand.
-        behind = wp.array(ptr=address + wp.uint64(16) * LINE, shape=(16,), dtype=vec16)
-        weights = wp.array(ptr=address + wp.uint64(32) * LINE, shape=(16,), dtype=vec16)
-        products = wp.array(ptr=address + wp.uint64(48) * LINE, shape=(16,), dtype=vec16)
+        g = wp.array(ptr=address, shape=(16,), dtype=head_rows)
+        g_lines = wp.array(ptr=address, shape=(64,), dtype=vec16)
+        g_floats = wp.array(ptr=address, shape=(1024,), dtype=float)
         address += wp.uint64(64) * LINE
-        sums = wp.array(ptr=address, shape=(16 * results,), dtype=vec16)
-        totals = wp.array(ptr=address, shape=(16 * results,), dtype=float)
-        total_row = wp.array(ptr=address, shape=(1,), dtype=feature_row)
+        by_weight = wp.array(ptr=address, shape=(16,), dtype=mat16x8)
+        weight_rows = wp.array(ptr=address, shape=(256,), dtype=vec8)
+        address += wp.uint64(128) * LINE
+        by_slope = wp.array(ptr=address, shape=(16,), dtype=mat16x8)
+        slope_rows = wp.array(ptr=address, shape=(256,), dtype=vec8)
+        address += wp.uint64(128) * LINE
+        transmittances = wp.array(ptr=address, shape=(16,), dtype=vec16)
+        behind = wp.array(ptr=address + wp.uint64(16) * LINE, shape=(16,), dtype=vec16)
+        pixels = wp.array(ptr=address + wp.uint64(32) * LINE, shape=(32,), dtype=vec16)
+        address += wp.uint64(64) * LINE
+        g_identity = wp.array(ptr=address, shape=(16,), dtype=mat16)
+        g_identity_lines = wp.array(ptr=address, shape=(256,), dtype=vec16)
+        g_identity_floats = wp.array(ptr=address, shape=(4096,), dtype=float)
+        address += wp.uint64(256) * LINE
+        turned = wp.array(ptr=address, shape=(16,), dtype=mat16)
+        turned_floats = wp.array(ptr=address, shape=(4096,), dtype=float)
+
+        # Of a chunk: its splats, the sums over pixels, and per patch the list and what is found on the way.
+        chunk_memory = wp.zeros(shape=chunk_lines, dtype=vec16)
+        address = aligned(chunk_memory.ptr)
+        splats = wp.array(ptr=address, shape=(lines * CHUNK,), dtype=vec16)
+        address += wp.static(wp.uint64(64 * lines * CHUNK))
+        identity_sums = wp.array(ptr=address, shape=(CHUNK,), dtype=vec16)
+        address += wp.static(wp.uint64(64 * (lines - 1) * CHUNK))
+        sums = wp.array(ptr=address, shape=(2 * CHUNK,), dtype=vec8)
+        sum_lines = wp.array(ptr=address, shape=(CHUNK,), dtype=vec16)
+        address += wp.static(wp.uint64(64 * CHUNK))
+        products = wp.array(ptr=address, shape=(CHUNK,), dtype=vec16)
+        address += wp.static(wp.uint64(64 * CHUNK))
+        weights = wp.array(ptr=address, shape=(CHUNK,), dtype=vec16)
+        address += wp.static(wp.uint64(64 * CHUNK))
+        slopes = wp.array(ptr=address, shape=(CHUNK,), dtype=vec16)
         slot_memory = wp.zeros(shape=CHUNK, dtype=int)
         slots = wp.array(ptr=slot_memory.ptr, shape=(CHUNK,), dtype=int)
-        splat_memory = wp.zeros(shape=CHUNK, dtype=vec8)
-        splats = wp.array(ptr=splat_memory.ptr, shape=(CHUNK,), dtype=vec8)
-        row_memory = wp.zeros(shape=CHUNK, dtype=feature_row)
-        rows = wp.array(ptr=row_memory.ptr, shape=(CHUNK,), dtype=feature_row)
+        gaussian_memory = wp.zeros(shape=CHUNK, dtype=int)
+        gaussians = wp.array(ptr=gaussian_memory.ptr, shape=(CHUNK,), dtype=int)
+        list_memory = wp.zeros(shape=wp.static(16 * CHUNK), dtype=wp.int16)
+        lists = wp.array(ptr=list_memory.ptr, shape=(16 * CHUNK,), dtype=wp.int16)
+        count_memory = wp.zeros(shape=16, dtype=int)
+        counts = wp.array(ptr=count_memory.ptr, shape=(16,), dtype=int)
+
         # Run-time numbers (see composite_patches).
         patches = wp.min(tiles_x, 0) + 16
-        planes = image.shape[0]
-        halves = wp.min(tiles_x, 0) + 8 * results
+        heads = wp.min(tiles_x, 0) + 4
         for patch in range(patches):
             quad = first_quad(tile_x, tile_y, patch, quads)
             total = wp.cw_mul(load_patch(T_quads, quad, quads), load_patch(d_T_quads, quad, quads))
-            for c in range(planes):
+            for c in range(heads):
                 d = load_patch(d_image_quads, quad + c * plane, quads)
                 total += wp.cw_mul(d, load_patch(image_quads, quad + c * plane, quads))
-                g_rows[patch * channels + c] = d
+                g_lines[patch * 4 + c] = d
+            if wp.static(lines == 2):
+                for c in range(patches):
+                    d = load_patch(d_image_quads, quad + (4 + c) * plane, quads)
+                    if identity_shapes != 0:
+                        total += wp.cw_mul(d, load_patch(image_quads, quad + (4 + c) * plane, quads))
+                    g_identity_lines[patch * 16 + c] = d
+                for lane in range(patches):
+                    for c in range(16):
+                        turned_floats[patch * 256 + lane * 16 + c] = g_identity_floats[
+                            patch * 256 + c * 16 + lane
+                        ]
             behind[patch] = total
             transmittances[patch] = vec16(1.0)
+            pixels[patch] = patch_x(patch)
+            pixels[16 + patch] = patch_y(patch)
+            for lane in range(patches):
+                uv = _centred(patch, lane)
+                first = patch * 64 + lane
+                g_depth = g_floats[first + 48]
+                weight_rows[patch * 16 + lane] = vec8(
+                    g_floats[first], g_floats[first + 16], g_floats[first + 32], g_depth,
+                    g_depth * uv[0], g_depth * uv[1], 0.0, 0.0,
+                )  # fmt: skip
+                slope_rows[patch * 16 + lane] = vec8(
+                    1.0, uv[0], uv[1], uv[0] * uv[0], uv[0] * uv[1], uv[1] * uv[1], 0.0, 0.0
+                )
         pairs = tile_ranges[tile]
-        transparent = int(1)
         begin = pairs[0]
         while begin < pairs[1]:
             size = wp.min(pairs[1] - begin, CHUNK)
-            most = vec16()
             for patch in range(patches):
-                most = wp.max(most, transmittances[patch])
-            if not (wp.max(most) >= TRANSMITTANCE_MIN):
-                transparent = 0
-            for k in range(size):
-                slot = pair_slots[begin + k]
-                gaussian = slot_gaussians[slot]
-                slots[k] = slot
-                splats[k] = gathered(means2d[gaussian], conics[gaussian], slopes[gaussian])
-                rows[k] = feature_rows[gaussian]
-            for k in range(size):
-                slot = slots[k]
-                s = quadratic(splats[k], tile_x, tile_y)
-                rect = patch_rect(s) * transparent
-                take_products(rows[k], rect, g, products)
-                walk(s, rect, g_rows, products, transmittances, behind, weights, sums)
-                take_weighted(rect, g, weights, sums)
-                fold(sums, halves)
-                d_features[slot] = total_row[0]
-                x_moment = totals[channels + 1]
-                y_moment = totals[channels + 2]
-                # The depth's plane moves with the mean.
-                d_depth = totals[DEPTH]
-                slot_d_means2d[slot] = wp.vec2(
-                    -2.0 * s[2] * x_moment - s[3] * y_moment - s[6] * d_depth,
-                    -s[3] * x_moment - 2.0 * s[4] * y_moment - s[7] * d_depth,
-                )
-                slot_d_conics[slot] = wp.vec4(
-                    -0.5 * totals[channels + 3],
-                    -totals[channels + 4],
-                    -0.5 * totals[channels + 5],
-                    totals[channels] / wp.max(splats[k][5], OPACITY_MIN),
-                )
-                slot_d_slopes[slot] = wp.vec2(totals[channels + 6], totals[channels + 7])
+                # A finished patch lists nothing.
+                counts[patch] = 0
+            # Few instructions a splat: so many of the waits for memory overlap.
+            k = int(0)
+            while k < size:
+                slots[k] = slot_list[begin + k]
+                k += 1
+            k = int(0)
+            while k < size:
+                gaussians[k] = gaussian_list[slots[k]]
+                k += 1
+            k = int(0)
+            while k < size:
+                splats[k * lines] = row_lines[gaussians[k]]
+                k += 1
+            if wp.static(lines == 2):
+                k = int(0)
+                while k < size:
+                    splats[k * 2 + 1] = identity_lines[gaussians[k]]
+                    identity_sums[k] = vec16()
+                    k += 1
+            k = int(0)
+            while k < size:
+                s = on_tile(splats[k * lines], tile_x, tile_y)
+                rect = patch_rect(s)
+                splats[k * lines] = s
+                sum_lines[k] = vec16()
+                y = rect[1]
+                while y < rect[3]:
+                    x = rect[0]
+                    while x < rect[2]:
+                        patch = y * 4 + x
+                        count = counts[patch]
+                        lists[patch * CHUNK + count] = wp.int16(k)
+                        counts[patch] = count + 1
+                        x += 1
+                    y += 1
+                k += 1
+            for patch in range(patches):
+                T = transmittances[patch]
+                count = counts[patch]
+                if any_at_least(T, TRANSMITTANCE_MIN) and count > 0:
+                    gp = g[patch]
+                    i = int(0)
+                    while i < count:
+                        s = splats[int(lists[patch * CHUNK + i]) * lines]
+                        q = gp[0] * s[8]
+                        for c in range(1, 4):
+                            q += gp[c] * s[8 + c]
+                        products[i] = q
+                        i += 1
+                    if wp.static(lines == 2):
+                        if identity_shapes != 0:
+                            gi = g_identity[patch]
+                            i = int(0)
+                            while i < count:
+                                f = splats[int(lists[patch * CHUNK + i]) * 2 + 1]
+                                q = products[i]
+                                for c in range(16):
+                                    q += gi[c] * f[c]
+                                products[i] = q
+                                i += 1
+                    rest = behind[patch]
+                    d_depth = gp[DEPTH]
+                    pixel_x = pixels[patch]
+                    pixel_y = pixels[16 + patch]
+                    i = int(0)
+                    while i < count:
+                        s = splats[int(lists[patch * CHUNK + i]) * lines]
+                        dx = pixel_x - vec16(s[4])
+                        dy = pixel_y - vec16(s[5])
+                        power = wp.cw_mul(dx, dx * s[0] + dy * s[1]) + wp.cw_mul(dy, dy * s[2]) + vec16(s[14])
+                        raw = exp(power)
+                        q = products[i] + wp.cw_mul(d_depth, dx * s[6] + dy * s[7])
+                        w = vec16()
+                        d = vec16()
+                        for j in range(16):
+                            counted = power[j] >= LOG_ALPHA_MIN and T[j] >= TRANSMITTANCE_MIN
+                            alpha = wp.where(counted, wp.min(raw[j], ALPHA_MAX), 0.0)
+                            w[j] = alpha * T[j]
+                            rest[j] = rest[j] - w[j] * q[j]
+                            d_alpha = T[j] * q[j] - rest[j] / (1.0 - alpha)
+                            d[j] = wp.where(raw[j] < ALPHA_MAX, alpha * d_alpha, 0.0)
+                            T[j] = T[j] - w[j]
+                        weights[i] = w
+                        slopes[i] = d
+                        i += 1
+                    transmittances[patch] = T
+                    behind[patch] = rest
+                    if wp.static(lines == 2):
+                        gt = turned[patch]
+                        i = int(0)
+                        while i < count:
+                            k = int(lists[patch * CHUNK + i])
+                            w = weights[i]
+                            total = identity_sums[k]
+                            for p in range(16):
+                                total += gt[p] * w[p]
+                            identity_sums[k] = total
+                            i += 1
+                    gw = by_weight[patch]
+                    i = int(0)
+                    while i < count:
+                        k = 2 * int(lists[patch * CHUNK + i])
+                        w = weights[i]
+                        head = sums[k]
+                        for p in range(16):
+                            head += gw[p] * w[p]
+                        sums[k] = head
+                        i += 1
+                    gs = by_slope[patch]
+                    i = int(0)
+                    while i < count:
+                        k = 2 * int(lists[patch * CHUNK + i]) + 1
+                        d = slopes[i]
+                        moments = sums[k]
+                        for p in range(16):
+                            moments += gs[p] * d[p]
+                        sums[k] = moments
+                        i += 1
+            k = int(0)
+            while k < size:
+                s = splats[k * lines]
+                geometry = vec8(s[0], s[1], s[2], s[4], s[5], s[6], s[7], s[3])
+                slot_lines[slots[k]] = shape_gradients(geometry, sums[2 * k], sums[2 * k + 1])
+                if wp.static(lines == 2):
+                    slot_identity_lines[slots[k]] = identity_sums[k]
+                k += 1
             begin += size
 
     return adjoint

@@ -16,13 +16,13 @@ import warp as wp
 from ggwarp.kernels.composite_patches import (
     ALPHA_MAX,
     DEPTH,
-    LOG_ALPHA_MIN,
     TRANSMITTANCE_MIN,
-    gathered,
-    quadratic,
+    on_tile,
+    shape_gradients,
     vec8,
 )
 from ggwarp.kernels.math import vec16
+from ggwarp.kernels.project import LOG_ALPHA_MIN
 
 # Warp's own loop over small matrices needs no link-time compilation.
 wp.set_module_options({"enable_backward": False, "max_unroll": 20, "enable_mathdx_gemm": False})
@@ -43,12 +43,19 @@ def _row(lane: int) -> int:
 
 
 @wp.func
+def _staged(row: vec16, tile_x: int, tile_y: int) -> vec8:
+    """Factors of dx^2, dx dy, dy^2 in ln alpha, centre from the tile's corner, slope, ln opacity."""
+    s = on_tile(row, tile_x, tile_y)
+    return vec8(s[0], s[1], s[2], s[4], s[5], s[6], s[7], s[14])
+
+
+@wp.func
 def _log_alpha(s: vec8, dx: float, dy: float) -> float:
-    return dx * (dx * s[2] + dy * s[3]) + dy * dy * s[4] + s[5]
+    return dx * (dx * s[0] + dy * s[1]) + dy * dy * s[2] + s[7]
 
 
 def _make_forward(channels: int):
-    feature_row = wp.types.vector(channels, wp.float32)
+    with_identity = channels == 20
 
     @wp.kernel(name=f"composite_cuda_{channels}")
     def forward(
@@ -56,10 +63,8 @@ def _make_forward(channels: int):
         pair_slots: wp.array[int],
         slot_gaussians: wp.array[int],
         tile_ranges: wp.array[wp.vec2i],
-        means2d: wp.array[wp.vec2],
-        conics: wp.array[wp.vec4],
-        slopes: wp.array[wp.vec2],
-        features: wp.array2d[float],
+        rows: wp.array[vec16],
+        identities: wp.array[vec16],
         image: wp.array3d[float],
         transmittance: wp.array2d[float],
         median_depth: wp.array2d[float],
@@ -67,12 +72,13 @@ def _make_forward(channels: int):
         tile, lane = wp.tid()
         tile_y = tile / tiles_x
         tile_x = tile - tile_y * tiles_x
-        feature_rows = wp.array(ptr=features.ptr, shape=(features.shape[0],), dtype=feature_row)
+        quarters = wp.array(ptr=rows.ptr, shape=(4 * rows.shape[0],), dtype=wp.vec4)
         splats = wp.tile_empty(shape=BLOCK, dtype=vec8, storage="shared")
         gaussians = wp.tile_empty(shape=BLOCK, dtype=int, storage="shared")
         x = float(_column(lane))
         y = float(_row(lane))
-        acc = feature_row()
+        head = wp.vec4()
+        identity = vec16()
         T = float(1.0)
         median = float(0.0)
         pairs = tile_ranges[tile]
@@ -83,20 +89,22 @@ def _make_forward(channels: int):
             gaussian = int(0)
             if lane < size:
                 gaussian = slot_gaussians[pair_slots[begin + lane]]
-                s = quadratic(gathered(means2d[gaussian], conics[gaussian], slopes[gaussian]), tile_x, tile_y)
+                s = _staged(rows[gaussian], tile_x, tile_y)
             wp.tile_scatter_masked(splats, lane, s, lane < size)
             wp.tile_scatter_masked(gaussians, lane, gaussian, lane < size)
             for k in range(size):
                 if T >= TRANSMITTANCE_MIN:
                     s = splats[k]
-                    dx = x - s[0]
-                    dy = y - s[1]
+                    dx = x - s[3]
+                    dy = y - s[4]
                     power = _log_alpha(s, dx, dy)
                     if power >= LOG_ALPHA_MIN:
                         w = wp.min(wp.exp(power), ALPHA_MAX) * T
-                        f = feature_rows[gaussians[k]]
-                        f[DEPTH] += dx * s[6] + dy * s[7]
-                        acc += f * w
+                        f = quarters[4 * gaussians[k] + 2]
+                        f[DEPTH] += dx * s[5] + dy * s[6]
+                        head += f * w
+                        if wp.static(with_identity):
+                            identity += identities[gaussians[k]] * w
                         after = T - w
                         if T >= 0.5 and after < 0.5:
                             median = f[DEPTH]
@@ -107,8 +115,11 @@ def _make_forward(channels: int):
                 begin = pairs[1]
         row = tile_y * 16 + _row(lane)
         column = tile_x * 16 + _column(lane)
-        for c in range(channels):
-            image[c, row, column] = acc[c]
+        for c in range(4):
+            image[c, row, column] = head[c]
+        if wp.static(with_identity):
+            for c in range(16):
+                image[4 + c, row, column] = identity[c]
         transmittance[row, column] = T
         median_depth[row, column] = median
 
@@ -116,7 +127,7 @@ def _make_forward(channels: int):
 
 
 def _make_adjoint(channels: int):
-    feature_row = wp.types.vector(channels, wp.float32)
+    with_identity = channels == 20
     columns = channels + 2
 
     # Three blocks fit an SM with 80 registers (some tens of words spill) and 73 KiB of shared memory.
@@ -126,25 +137,23 @@ def _make_adjoint(channels: int):
         pair_slots: wp.array[int],
         slot_gaussians: wp.array[int],
         tile_ranges: wp.array[wp.vec2i],
-        means2d: wp.array[wp.vec2],
-        conics: wp.array[wp.vec4],
-        slopes: wp.array[wp.vec2],
-        features: wp.array2d[float],
+        rows: wp.array[vec16],
+        identities: wp.array[vec16],
         image: wp.array3d[float],
         transmittance: wp.array2d[float],
         d_image: wp.array3d[float],
         d_transmittance: wp.array2d[float],
-        slot_d_means2d: wp.array[wp.vec2],
-        slot_d_conics: wp.array[wp.vec4],
-        slot_d_slopes: wp.array[wp.vec2],
-        slot_d_features: wp.array2d[float],
+        identity_shapes: int,
+        slot_rows: wp.array[vec16],
+        slot_identities: wp.array[vec16],
     ):
         tile, lane = wp.tid()
         tile_y = tile / tiles_x
         tile_x = tile - tile_y * tiles_x
         row = tile_y * 16 + _row(lane)
         column = tile_x * 16 + _column(lane)
-        feature_rows = wp.array(ptr=features.ptr, shape=(features.shape[0],), dtype=feature_row)
+        quarters = wp.array(ptr=rows.ptr, shape=(4 * rows.shape[0],), dtype=wp.vec4)
+        slot_floats = wp.array(ptr=slot_identities.ptr, shape=(16 * slot_identities.shape[0],), dtype=float)
         splats = wp.tile_empty(shape=BLOCK, dtype=vec8, storage="shared")
         gaussians = wp.tile_empty(shape=BLOCK, dtype=int, storage="shared")
         slots = wp.tile_empty(shape=BLOCK, dtype=int, storage="shared")
@@ -161,15 +170,22 @@ def _make_adjoint(channels: int):
         wp.tile_scatter_masked(monomials, lane, 3, u * u, True)
         wp.tile_scatter_masked(monomials, lane, 4, u * v, True)
         wp.tile_scatter_masked(monomials, lane, 5, v * v, True)
-        g = feature_row()
+        g_head = wp.vec4()
+        g_identity = vec16()
         # What the splats behind the one at hand, and the transmittance, add to the loss.
         rest = transmittance[row, column] * d_transmittance[row, column]
-        for c in range(channels):
-            g[c] = d_image[c, row, column]
-            rest += g[c] * image[c, row, column]
-            wp.tile_scatter_masked(gradients, lane, c, g[c], True)
-        wp.tile_scatter_masked(gradients, lane, channels, g[DEPTH] * u, True)
-        wp.tile_scatter_masked(gradients, lane, channels + 1, g[DEPTH] * v, True)
+        for c in range(4):
+            g_head[c] = d_image[c, row, column]
+            rest += g_head[c] * image[c, row, column]
+            wp.tile_scatter_masked(gradients, lane, c, g_head[c], True)
+        wp.tile_scatter_masked(gradients, lane, 4, g_head[DEPTH] * u, True)
+        wp.tile_scatter_masked(gradients, lane, 5, g_head[DEPTH] * v, True)
+        if wp.static(with_identity):
+            for c in range(16):
+                g_identity[c] = d_image[4 + c, row, column]
+                wp.tile_scatter_masked(gradients, lane, 6 + c, g_identity[c], True)
+                if identity_shapes != 0:
+                    rest += g_identity[c] * image[4 + c, row, column]
         T = float(1.0)
         pairs = tile_ranges[tile]
         begin = pairs[0]
@@ -182,7 +198,7 @@ def _make_adjoint(channels: int):
             if lane < size:
                 slot = pair_slots[begin + lane]
                 gaussian = slot_gaussians[slot]
-                s = quadratic(gathered(means2d[gaussian], conics[gaussian], slopes[gaussian]), tile_x, tile_y)
+                s = _staged(rows[gaussian], tile_x, tile_y)
             wp.tile_scatter_masked(splats, lane, s, lane < size)
             wp.tile_scatter_masked(gaussians, lane, gaussian, lane < size)
             wp.tile_scatter_masked(slots, lane, slot, lane < size)
@@ -192,14 +208,17 @@ def _make_adjoint(channels: int):
                 for k in range(wp.min(size - first, GROUP)):
                     if T >= TRANSMITTANCE_MIN:
                         s = splats[first + k]
-                        dx = x - s[0]
-                        dy = y - s[1]
+                        dx = x - s[3]
+                        dy = y - s[4]
                         power = _log_alpha(s, dx, dy)
                         if power >= LOG_ALPHA_MIN:
                             raw = wp.exp(power)
                             alpha = wp.min(raw, ALPHA_MAX)
-                            q = wp.dot(feature_rows[gaussians[first + k]], g)
-                            q += g[DEPTH] * (dx * s[6] + dy * s[7])
+                            q = wp.dot(quarters[4 * gaussians[first + k] + 2], g_head)
+                            q += g_head[DEPTH] * (dx * s[5] + dy * s[6])
+                            if wp.static(with_identity):
+                                if identity_shapes != 0:
+                                    q += wp.dot(identities[gaussians[first + k]], g_identity)
                             w[k] = alpha * T
                             rest -= w[k] * q
                             if raw < ALPHA_MAX:
@@ -207,45 +226,34 @@ def _make_adjoint(channels: int):
                             T -= w[k]
                 sums = wp.tile_matmul(wp.tile(w), gradients)
                 moments = wp.tile_matmul(wp.tile(d), monomials)
-                for e in range(lane, GROUP * channels, BLOCK):
-                    k = e / channels
-                    c = e - k * channels
+                if wp.static(with_identity):
+                    # GROUP rows of 16 are one number a thread.
+                    k = lane >> 4
+                    c = lane & 15
                     if first + k < size:
-                        slot_d_features[slots[first + k], c] = sums[k, c]
+                        slot_floats[16 * slots[first + k] + c] = sums[k, 6 + c]
                 if lane < GROUP and first + lane < size:
-                    slot = slots[first + lane]
                     s = splats[first + lane]
-                    ox = 7.5 - s[0]
-                    oy = 7.5 - s[1]
-                    m0 = moments[lane, 0]
-                    u1 = moments[lane, 1]
-                    v1 = moments[lane, 2]
-                    mx = u1 + ox * m0
-                    my = v1 + oy * m0
-                    mxx = moments[lane, 3] + ox * (u1 + mx)
-                    mxy = moments[lane, 4] + ox * v1 + oy * mx
-                    myy = moments[lane, 5] + oy * (v1 + my)
-                    # The depth's plane moves with the mean.
-                    d_depth = sums[lane, DEPTH]
-                    slot_d_means2d[slot] = wp.vec2(
-                        -2.0 * s[2] * mx - s[3] * my - s[6] * d_depth,
-                        -s[3] * mx - 2.0 * s[4] * my - s[7] * d_depth,
-                    )
-                    slot_d_conics[slot] = wp.vec4(-0.5 * mxx, -mxy, -0.5 * myy, m0 * wp.exp(-s[5]))
-                    slot_d_slopes[slot] = wp.vec2(
-                        sums[lane, channels] + ox * d_depth, sums[lane, channels + 1] + oy * d_depth
-                    )
+                    slot_rows[slots[first + lane]] = shape_gradients(
+                        vec8(s[0], s[1], s[2], s[3], s[4], s[5], s[6], wp.exp(s[7])),
+                        vec8(
+                            sums[lane, 0], sums[lane, 1], sums[lane, 2],
+                            sums[lane, 3], sums[lane, 4], sums[lane, 5], 0.0, 0.0,
+                        ),
+                        vec8(
+                            moments[lane, 0], moments[lane, 1], moments[lane, 2],
+                            moments[lane, 3], moments[lane, 4], moments[lane, 5], 0.0, 0.0,
+                        ),
+                    )  # fmt: skip
             # Also the barrier before shared memory is written again.
             left = wp.tile_sum(wp.tile(wp.where(T >= TRANSMITTANCE_MIN, 1, 0)))
             transparent = left[0]
             begin += size
         for pair in range(begin + lane, pairs[1], BLOCK):
             slot = pair_slots[pair]
-            slot_d_means2d[slot] = wp.vec2()
-            slot_d_conics[slot] = wp.vec4()
-            slot_d_slopes[slot] = wp.vec2()
-            for c in range(channels):
-                slot_d_features[slot, c] = 0.0
+            slot_rows[slot] = vec16()
+            if wp.static(with_identity):
+                slot_identities[slot] = vec16()
 
     return adjoint
 

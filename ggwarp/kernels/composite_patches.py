@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pieces of the CPU form of compositing: a tile as 16 patches of 4 x 4 pixels.
+"""Pieces of compositing, most of them of its CPU form: a tile as 16 patches of 4 x 4 pixels.
 
 A patch is one 16-wide vector, which LLVM turns into one AVX-512 register (or two of AVX2, four of
 NEON). A splat touches only the patches that its ellipse's bounding box touches; compared with rows
@@ -31,10 +31,11 @@ vec8 = wp.types.vector(8, wp.float32)
 DEPTH = wp.constant(3)
 """The channel of depth."""
 
-LOG_ALPHA_MIN = wp.constant(-5.541263545158426)
 ALPHA_MAX = wp.constant(0.99)
 TRANSMITTANCE_MIN = wp.constant(1.0e-4)
 OPACITY_MIN = wp.constant(1.0e-30)
+LINE = wp.constant(wp.uint64(64))
+"""Bytes of a cache line, and of a vec16."""
 
 _LANE_X = wp.constant(vec16(0.0, 1.0, 2.0, 3.0, 0.0, 1.0, 2.0, 3.0, 0.0, 1.0, 2.0, 3.0, 0.0, 1.0, 2.0, 3.0))
 _LANE_Y = wp.constant(vec16(0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 2.0, 3.0, 3.0, 3.0, 3.0))
@@ -79,6 +80,14 @@ def aligned(address: wp.uint64) -> wp.uint64:
 
 
 @wp.func
+def any_at_least(v: vec16, bound: float) -> bool:
+    count = int(0)
+    for j in range(16):
+        count += wp.where(v[j] >= bound, 1, 0)
+    return count > 0
+
+
+@wp.func
 def first_quad(tile_x: int, tile_y: int, patch: int, quads: int) -> int:
     """Index of a patch's first four pixels in a plane that is seen as rows of ``quads`` vec4."""
     return (tile_y * 16 + (patch >> 2) * 4) * quads + tile_x * 4 + (patch & 3)
@@ -103,27 +112,19 @@ def store_patch(plane: wp.array[wp.vec4], quad: int, quads: int, patches: wp.arr
 
 
 @wp.func
-def gathered(mean: wp.vec2, conic: wp.vec4, slope: wp.vec2) -> vec8:
-    return vec8(mean[0], mean[1], conic[0], conic[1], conic[2], conic[3], slope[0], slope[1])
+def on_tile(row: vec16, tile_x: int, tile_y: int) -> vec16:
+    """A row of :class:`ggwarp.kernels.project.Splats` as the loops over patches want it.
 
-
-@wp.func
-def quadratic(s: vec8, tile_x: int, tile_y: int) -> vec8:
-    """What :func:`gathered` returned, as the loops over patches want it.
-
-    Centre from the tile's corner (2), factors of dx^2, dx dy, dy^2 in ln alpha (3), ln opacity,
-    slope of the depth (2).
+    In place of the conic come the factors of dx^2, dx dy, dy^2 in ln alpha; the centre is from the tile's
+    corner.
     """
-    return vec8(
-        s[0] - float(tile_x * 16),
-        s[1] - float(tile_y * 16),
-        -0.5 * s[2],
-        -s[3],
-        -0.5 * s[4],
-        wp.log(wp.max(s[5], OPACITY_MIN)),
-        s[6],
-        s[7],
-    )
+    s = row
+    s[0] = -0.5 * row[0]
+    s[1] = -row[1]
+    s[2] = -0.5 * row[2]
+    s[4] = row[4] - float(tile_x * 16)
+    s[5] = row[5] - float(tile_y * 16)
+    return s
 
 
 @wp.func
@@ -135,52 +136,38 @@ def _span(centre: float, extent: float):
 
 
 @wp.func
-def patch_rect(s: vec8) -> wp.vec4i:
+def patch_rect(s: vec16) -> wp.vec4i:
     """Patches (x0, y0, x1, y1), half open, where alpha can reach 1/255."""
-    reach = (s[5] - LOG_ALPHA_MIN) / (4.0 * s[2] * s[4] - s[3] * s[3])
-    if not (reach > 0.0):
+    # False for NaN, which has no place in the lists.
+    if not (s[12] + s[13] + wp.abs(s[4]) + wp.abs(s[5]) < 1.0e9):
         return wp.vec4i(0, 0, 0, 0)
-    x0, x1 = _span(s[0], 2.0 * wp.sqrt(-reach * s[4]))
-    y0, y1 = _span(s[1], 2.0 * wp.sqrt(-reach * s[2]))
+    x0, x1 = _span(s[4], s[12])
+    y0, y1 = _span(s[5], s[13])
     return wp.vec4i(x0, y0, x1, y1)
 
 
 @wp.func
-def fold_8(a: vec16, b: vec16) -> vec16:
-    """Add lanes 8 apart: a's eight sums, then b's. Four kinds of fold turn 16 vectors into their totals."""
-    r = vec16()
-    for j in range(8):
-        r[j] = a[j] + a[j + 8]
-        r[j + 8] = b[j] + b[j + 8]
-    return r
+def shape_gradients(s: vec8, w: vec8, d: vec8) -> vec16:
+    """A slot's row (see :class:`ggwarp.kernels.project_adjoint.SlotGradients`) from sums over pixels.
 
-
-@wp.func
-def fold_4(a: vec16, b: vec16) -> vec16:
-    r = vec16()
-    for j in range(4):
-        r[j] = a[j] + a[j + 4]
-        r[j + 4] = a[j + 8] + a[j + 12]
-        r[j + 8] = b[j] + b[j + 4]
-        r[j + 12] = b[j + 8] + b[j + 12]
-    return r
-
-
-@wp.func
-def fold_2(a: vec16, b: vec16) -> vec16:
-    r = vec16()
-    for j in range(4):
-        r[2 * j] = a[4 * j] + a[4 * j + 2]
-        r[2 * j + 1] = a[4 * j + 1] + a[4 * j + 3]
-        r[2 * j + 8] = b[4 * j] + b[4 * j + 2]
-        r[2 * j + 9] = b[4 * j + 1] + b[4 * j + 3]
-    return r
-
-
-@wp.func
-def fold_1(a: vec16, b: vec16) -> vec16:
-    r = vec16()
-    for j in range(8):
-        r[j] = a[2 * j] + a[2 * j + 1]
-        r[j + 8] = b[2 * j] + b[2 * j + 1]
-    return r
+    Args:
+        s: the splat on its tile: factors of dx^2, dx dy, dy^2, centre, slope, opacity.
+        w: sums of its weight times the gradients of colour and depth, and the depth's times x and y.
+        d: sums of d loss / d ln alpha times 1, x, y, x^2, xy, y^2; x and y from the tile's centre.
+    """
+    ox = 7.5 - s[3]
+    oy = 7.5 - s[4]
+    mx = d[1] + ox * d[0]
+    my = d[2] + oy * d[0]
+    mxx = d[3] + ox * (d[1] + mx)
+    mxy = d[4] + ox * d[2] + oy * mx
+    myy = d[5] + oy * (d[2] + my)
+    return vec16(
+        -0.5 * mxx, -mxy, -0.5 * myy, d[0] / wp.max(s[7], OPACITY_MIN),
+        # The depth's plane moves with the mean.
+        -2.0 * s[0] * mx - s[1] * my - s[5] * w[3],
+        -s[1] * mx - 2.0 * s[2] * my - s[6] * w[3],
+        w[4] + ox * w[3], w[5] + oy * w[3],
+        w[0], w[1], w[2], w[3],
+        0.0, 0.0, 0.0, 0.0,
+    )  # fmt: skip

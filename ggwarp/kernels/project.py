@@ -32,6 +32,7 @@ TILE = wp.constant(16)
 NEAR = wp.constant(0.05)
 LOW_PASS = wp.constant(0.3)
 SLOPE_LOW_PASS = wp.constant(0.03)
+LOG_ALPHA_MIN = wp.constant(-math.log(255.0))
 MAX_REACH = wp.constant(2.0 * math.log(255.0) * 1.01)
 SH_C0 = wp.constant(0.28209479177387814)
 
@@ -60,25 +61,50 @@ def intrinsics_of(camera: Any) -> CameraIntrinsics:
 class Splats:
     """What projection writes, a row per Gaussian; rows of culled ones hold only ``tile_rects``.
 
+    What compositing needs of a Gaussian, save its identity, is one vec16: a cache line.
+
     Attributes:
-        means2d: [n] vec2, pixels.
-        conics: [n] vec4 (a, b, c, opacity): alpha = opacity exp(-(a dx^2 + c dy^2) / 2 - b dx dy).
-        slopes: [n] vec2, metres per pixel: what the depth gains away from the mean.
+        rows: [n] vec16: the conic (a, b, c), opacity; mean, slope; colour and depth; extent, ln opacity, 0.
         depths: [n] camera z of the mean, metres.
         tile_rects: [n] vec4i (x0, y0, x1, y1) tiles, half open; x0 == x1 when culled.
-        features: [n, C] colour (clamped at 0), depth of the mean, identity if C is 20.
-        heads: [n] vec4, the first four columns of ``features``.
-        identities: [n] vec16, the others; None if C is 4.
     """
 
-    means2d: wp.array
-    conics: wp.array
-    slopes: wp.array
+    rows: wp.array
     depths: wp.array
     tile_rects: wp.array
-    features: wp.array
-    heads: wp.array
-    identities: wp.array | None
+
+    @property
+    def conics(self) -> wp.array:
+        """[n] vec4 (a, b, c, opacity): alpha = opacity exp(-(a dx^2 + c dy^2) / 2 - b dx dy)."""
+        return row_part(self.rows, 0, wp.vec4)
+
+    @property
+    def means2d(self) -> wp.array:
+        """[n] vec2, pixels."""
+        return row_part(self.rows, 4, wp.vec2)
+
+    @property
+    def slopes(self) -> wp.array:
+        """[n] vec2, metres per pixel: what the depth gains away from the mean."""
+        return row_part(self.rows, 6, wp.vec2)
+
+    @property
+    def heads(self) -> wp.array:
+        """[n] vec4: colour (clamped at 0), depth of the mean."""
+        return row_part(self.rows, 8, wp.vec4)
+
+    @property
+    def extents(self) -> wp.array:
+        """[n] vec2, pixels: half width and height of where alpha reaches 1/255."""
+        return row_part(self.rows, 12, wp.vec2)
+
+
+def row_part(rows: wp.array, lane: int, dtype: Any) -> wp.array:
+    """Return a view of the lanes from ``lane`` on of [n] vec16 ``rows``."""
+    pointer = (rows.ptr or 0) + 4 * lane
+    view = wp.array(ptr=pointer, dtype=dtype, shape=rows.shape, strides=(64,), device=rows.device)
+    view._ref = rows
+    return view
 
 
 @wp.func
@@ -176,13 +202,9 @@ def _project(
     identities: wp.array[vec16],
     T_cw: wp.array[wp.mat44],
     camera: CameraIntrinsics,
-    means2d: wp.array[wp.vec2],
-    conics: wp.array[wp.vec4],
-    slopes: wp.array[wp.vec2],
+    rows: wp.array[vec16],
     depths: wp.array[float],
     tile_rects: wp.array[wp.vec4i],
-    feature_heads: wp.array[wp.vec4],
-    feature_identities: wp.array[vec16],
 ):
     i = offset + wp.tid()
     tile_rects[i] = wp.vec4i(0, 0, 0, 0)
@@ -211,7 +233,8 @@ def _project(
     conic, xx, yy = conic_of(w0, w1, LOW_PASS)
     slope = depth_slope(w0, w1, wp.vec3(m[0, 2], m[1, 2], m[2, 2]))
     # alpha >= 1/255 <=> the squared Mahalanobis distance is at most 2 ln(255 opacity).
-    reach = 2.0 * wp.log(255.0 * opacity)
+    log_opacity = wp.log(opacity)
+    reach = 2.0 * wp.max(log_opacity - LOG_ALPHA_MIN, 0.0)
     colour = colours[i]
     # A sum is finite only if its terms are.
     check = norm2 + u + v + conic[0] + conic[1] + conic[2] + xx + yy + slope[0] + slope[1]
@@ -221,23 +244,23 @@ def _project(
         check += wp.dot(o, o)
     if not (wp.isfinite(check) and norm2 > 0.0):
         return
-    x0, x1 = _tile_span(u, wp.sqrt(reach * xx), camera.width)
-    y0, y1 = _tile_span(v, wp.sqrt(reach * yy), camera.height)
+    extent_x = wp.sqrt(reach * xx)
+    extent_y = wp.sqrt(reach * yy)
+    x0, x1 = _tile_span(u, extent_x, camera.width)
+    y0, y1 = _tile_span(v, extent_y, camera.height)
     if x0 >= x1 or y0 >= y1:
         return
     tile_rects[i] = wp.vec4i(x0, y0, x1, y1)
-    means2d[i] = wp.vec2(u, v)
-    conics[i] = wp.vec4(conic[0], conic[1], conic[2], opacity)
-    slopes[i] = slope
     depths[i] = p[2]
-    feature_heads[i] = wp.vec4(
+    rows[i] = vec16(
+        conic[0], conic[1], conic[2], opacity,
+        u, v, slope[0], slope[1],
         wp.max(0.5 + SH_C0 * colour[0], 0.0),
         wp.max(0.5 + SH_C0 * colour[1], 0.0),
         wp.max(0.5 + SH_C0 * colour[2], 0.0),
         p[2],
-    )
-    if identities:
-        feature_identities[i] = identities[i]
+        extent_x, extent_y, log_opacity, 0.0,
+    )  # fmt: skip
 
 
 def project(
@@ -264,18 +287,16 @@ def project(
         log_scales: vec3, log of standard deviations in metres.
         opacity_logits: float.
         colours: vec3, degree-0 spherical harmonics.
-        identities: vec16; None renders four channels.
+        identities: vec16, only looked at for numbers that are not finite; or None.
         T_cw: [1] mat44, world to camera.
         camera: see :func:`intrinsics_of`.
         count: rows in use.
-        out: see :class:`Splats`; allocated with 20 channels if there are identities, else 4.
+        out: see :class:`Splats`.
     """
     launch_split(
         _project,
         count,
         inputs=[means, quats, log_scales, opacity_logits, colours, identities, T_cw, camera],
-        outputs=[
-            out.means2d, out.conics, out.slopes, out.depths, out.tile_rects, out.heads, out.identities,
-        ],
+        outputs=[out.rows, out.depths, out.tile_rects],
         device=means.device,
-    )  # fmt: skip
+    )

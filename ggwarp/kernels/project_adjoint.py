@@ -45,18 +45,11 @@ class SlotGradients:
     """What the composite's adjoint writes, a row per slot (see :mod:`ggwarp.kernels.tiles`).
 
     Attributes:
-        d_means2d: [slots] vec2.
-        d_conics: [slots] vec4 (a, b, c, opacity).
-        d_slopes: [slots] vec2.
-        d_features: [slots, C].
-        heads, identities: views of ``d_features`` as in :class:`ggwarp.kernels.project.Splats`.
+        rows: [slots] vec16: of the conic and opacity (4); mean, slope (4); colour and depth (4); zeros.
+        identities: [slots] vec16; None if C is 4.
     """
 
-    d_means2d: wp.array
-    d_conics: wp.array
-    d_slopes: wp.array
-    d_features: wp.array
-    heads: wp.array
+    rows: wp.array
     identities: wp.array | None
 
 
@@ -94,10 +87,7 @@ def _project_adjoint(
     ranks: wp.array[int],
     slot_offsets: wp.array[int],
     counts: wp.array[int],
-    slot_d_means2d: wp.array[wp.vec2],
-    slot_d_conics: wp.array[wp.vec4],
-    slot_d_slopes: wp.array[wp.vec2],
-    slot_heads: wp.array[wp.vec4],
+    slot_rows: wp.array[vec16],
     slot_identities: wp.array[vec16],
     d_means: wp.array[wp.vec3],
     d_quats: wp.array[wp.vec4],
@@ -113,17 +103,15 @@ def _project_adjoint(
     i = visible[k]
     rank = ranks[i]
     # Slots that did not fit (overflow) were never written.
-    begin = wp.clamp(slot_offsets[rank], 0, slot_d_means2d.shape[0])
-    end = wp.clamp(slot_offsets[rank + 1], begin, slot_d_means2d.shape[0])
-    d_uv = wp.vec2(0.0)
-    d_conic = wp.vec4(0.0)
-    d_slope = wp.vec2(0.0)
-    d_head = wp.vec4(0.0)
+    begin = wp.clamp(slot_offsets[rank], 0, slot_rows.shape[0])
+    end = wp.clamp(slot_offsets[rank + 1], begin, slot_rows.shape[0])
+    d_row = vec16()
     for slot in range(begin, end):
-        d_uv += slot_d_means2d[slot]
-        d_conic += slot_d_conics[slot]
-        d_slope += slot_d_slopes[slot]
-        d_head += slot_heads[slot]
+        d_row += slot_rows[slot]
+    d_conic = wp.vec4(d_row[0], d_row[1], d_row[2], d_row[3])
+    d_uv = wp.vec2(d_row[4], d_row[5])
+    d_slope = wp.vec2(d_row[6], d_row[7])
+    d_head = wp.vec4(d_row[8], d_row[9], d_row[10], d_row[11])
     if d_identities:
         d_o = vec16()
         for slot in range(begin, end):
@@ -253,7 +241,7 @@ def project_adjoint(
         inputs=[
             means, quats, log_scales, opacity_logits, colours, T_cw, camera,
             tiles.visible, tiles.ranks, tiles.slot_offsets, tiles.counts,
-            slots.d_means2d, slots.d_conics, slots.d_slopes, slots.heads, slots.identities,
+            slots.rows, slots.identities,
         ],
         outputs=[
             d_means, d_quats, d_log_scales, d_opacity_logits, d_colours, d_identities,

@@ -45,12 +45,17 @@ class Renderer:
         allocation: grows whenever arrays are allocated anew.
     """
 
-    def __init__(self, gaussians: GaussianMap, camera: Camera, *, identity: bool = True) -> None:
+    def __init__(
+        self, gaussians: GaussianMap, camera: Camera, *, identity: bool = True, identity_shapes: bool = True
+    ) -> None:
         """Allocate for ``camera``.
 
         Args:
             identity: render identities, if the map has them; tracking can do without.
+            identity_shapes: let the identity's gradient also shape the Gaussians, as in Gaussian Grouping;
+                without, it reaches identities alone.
         """
+        self._identity_shapes = identity_shapes
         self._map = gaussians
         self.camera = camera
         self._intrinsics = intrinsics_of(camera)
@@ -96,6 +101,7 @@ class Renderer:
             image=self.image,
             transmittance=self.transmittance,
             median_depth=self.median_depth,
+            identities=self._identities,
         )
 
     def adjoint(self, T_cw: wp.array, *, pose: bool = False) -> None:
@@ -122,12 +128,19 @@ class Renderer:
             d_image=self.d_image,
             d_transmittance=self.d_transmittance,
             out=self._slots,
+            identities=self._identities,
+            identity_shapes=self._identity_shapes,
         )
         project_adjoint(
             m.means, m.quats, m.log_scales, m.opacity_logits, m.colours,
             T_cw=T_cw, camera=self._intrinsics, count=self.rows,
             tiles=self.tiles, slots=self._slots, d_pose_scratch=pose, **outputs,
         )  # fmt: skip
+
+    @property
+    def _identities(self) -> wp.array | None:
+        """Those that are rendered."""
+        return self._map.parameters.identities if self._channels == 20 else None
 
     def _pose_scratch(self) -> tuple[wp.array, ...]:
         lengths = pose_levels(self._capacity)
@@ -164,7 +177,7 @@ class Renderer:
         m = self._map.parameters
         project(
             m.means, m.quats, m.log_scales, m.opacity_logits, m.colours,
-            m.identities if self._channels == 20 else None,
+            self._identities,
             T_cw=T_cw, camera=self._intrinsics, count=self.rows, out=self.splats,
         )  # fmt: skip
         while True:
@@ -187,7 +200,7 @@ class Renderer:
         if capacity == self._capacity:
             return
         self._capacity = capacity
-        self.splats = allocate_splats(capacity, self._channels, device=self._device)
+        self.splats = allocate_splats(capacity, device=self._device)
         self.gradients = GaussianArrays(
             *(
                 wp.zeros(capacity, dtype=self._map.fields[n].dtype, device=self._device)

@@ -161,7 +161,7 @@ class _Render(torch.autograd.Function):
         with _on_stream_of(means):
             arrays = _views(parameters)
             device = arrays[0].device
-            splats = allocate_splats(count, channels, device=device)
+            splats = allocate_splats(count, device=device)
             project(
                 *arrays,
                 T_cw=_view(T_cw[None], wp.mat44),
@@ -178,6 +178,7 @@ class _Render(torch.autograd.Function):
                 image=_view(image),
                 transmittance=_view(transmittance),
                 median_depth=_view(median_depth),
+                identities=arrays[5],
             )
         ctx.save_for_backward(*parameters, T_cw, image, transmittance)
         ctx.splats, ctx.tiles, ctx.camera, ctx.wants_pose = splats, tiles, camera, tau is not None
@@ -208,6 +209,7 @@ class _Render(torch.autograd.Function):
                 d_image=_view(d_image),
                 d_transmittance=_view(d_transmittance),
                 out=slots,
+                identities=arrays[5],
             )
             pose = ()
             if d_tau is not None:

@@ -17,45 +17,20 @@ def _empty(size: int, dtype: Any, device: Any) -> wp.array:
     return wp.empty(size, dtype=dtype, device=device)
 
 
-def _views(features: wp.array) -> tuple[wp.array, wp.array | None]:
-    """View [n, C] rows as a vec4 and, if C is 20, a vec16: one load each instead of C."""
-    n, channels = features.shape
-    if channels not in (4, 20):
-        raise ValueError(f"{channels} channels, but rendering has 4 (colour, depth) or 20 (and identity)")
-
-    def view(dtype: Any, offset: int) -> wp.array:
-        pointer = (features.ptr or 0) + 4 * offset
-        return wp.array(ptr=pointer, dtype=dtype, shape=n, strides=(4 * channels,), device=features.device)
-
-    return view(wp.vec4, 0), view(vec16, 4) if channels == 20 else None
-
-
-def allocate_splats(count: int, channels: int, *, device: Any) -> Splats:
-    """Allocate the projection's output for ``count`` Gaussians and 4 or 20 channels."""
-    features = wp.empty((max(count, 1), channels), dtype=float, device=device)
-    n = features.shape[0]
+def allocate_splats(count: int, *, device: Any) -> Splats:
+    """Allocate the projection's output for ``count`` Gaussians."""
+    n = max(count, 1)
     return Splats(
-        _empty(n, wp.vec2, device),
-        _empty(n, wp.vec4, device),
-        _empty(n, wp.vec2, device),
-        _empty(n, float, device),
-        wp.zeros(n, dtype=wp.vec4i, device=device),
-        features,
-        *_views(features),
+        _empty(n, vec16, device), _empty(n, float, device), wp.zeros(n, dtype=wp.vec4i, device=device)
     )
 
 
 def allocate_slot_gradients(slots: int, channels: int, *, device: Any) -> SlotGradients:
     """Allocate the composite adjoint's output for ``slots`` slots and 4 or 20 channels."""
-    d_features = wp.empty((max(slots, 1), channels), dtype=float, device=device)
-    n = d_features.shape[0]
-    return SlotGradients(
-        _empty(n, wp.vec2, device),
-        _empty(n, wp.vec4, device),
-        _empty(n, wp.vec2, device),
-        d_features,
-        *_views(d_features),
-    )
+    if channels not in (4, 20):
+        raise ValueError(f"{channels} channels, but rendering has 4 (colour, depth) or 20 (and identity)")
+    n = max(slots, 1)
+    return SlotGradients(_empty(n, vec16, device), _empty(n, vec16, device) if channels == 20 else None)
 
 
 def allocate_tiles(count: int, slots: int, *, width: int, height: int, device: Any) -> TileArrays:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compositing and its adjoint against the float64 oracle, and what must hold on odd scenes."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 import torch
@@ -12,6 +10,9 @@ from hypothesis import strategies as st
 
 from ggwarp.kernels import launch
 from ggwarp.kernels.composite import composite, composite_adjoint
+from ggwarp.kernels.math import vec16
+from ggwarp.kernels.project import Splats
+from ggwarp.kernels.project_adjoint import SlotGradients
 from ggwarp.kernels.tiles import bin_splats, tiles_across
 from ggwarp.ops.reference.render import composite as composite_reference
 from ggwarp.ops.workspace import allocate_tiles
@@ -58,16 +59,22 @@ class Composited:
         rects[(rects[:, 0] >= rects[:, 2]) | (rects[:, 1] >= rects[:, 3])] = 0
         areas = (rects[:, 2] - rects[:, 0]) * (rects[:, 3] - rects[:, 1])
         self.slots = int(areas.sum())
-        self.splats = SimpleNamespace(
-            means2d=wp.array(scene["means2d"], dtype=wp.vec2, device=device),
-            conics=wp.array(scene["conics"], dtype=wp.vec4, device=device),
-            slopes=wp.array(scene["slopes"], dtype=wp.vec2, device=device),
+        packed = np.zeros((n, 16), np.float32)
+        packed[:, :4], packed[:, 4:6], packed[:, 6:8] = scene["conics"], scene["means2d"], scene["slopes"]
+        packed[:, 8:12] = scene["features"][:, :4]
+        packed[:, 12:14] = np.sqrt(np.maximum(reach[:, None] * np.stack([c, a], -1), 0.0))
+        packed[:, 14] = np.log(np.maximum(opacity, 1e-30))
+        self.splats = Splats(
+            rows=wp.array(packed, dtype=vec16, device=device),
             depths=wp.array(scene["depths"], dtype=float, device=device),
-            features=wp.array(scene["features"], dtype=float, device=device),
+            tile_rects=wp.array(rects, dtype=wp.vec4i, device=device),
         )
+        self.identities = None
+        if channels == 20:
+            self.identities = wp.array(scene["features"][:, 4:], dtype=vec16, device=device)
         self.tiles = allocate_tiles(n, self.slots, width=self.width, height=self.height, device=device)
         bin_splats(
-            wp.array(rects, dtype=wp.vec4i, device=device),
+            self.splats.tile_rects,
             self.splats.depths,
             count=n,
             width=self.width,
@@ -89,6 +96,7 @@ class Composited:
             image=self.image,
             transmittance=self.transmittance,
             median_depth=self.median_depth,
+            identities=self.identities,
             cooperative=self.cooperative,
         )
 
@@ -97,15 +105,11 @@ class Composited:
         arrays = (self.image, self.transmittance, self.median_depth)
         return tuple(a.numpy()[..., : self.height, : self.width].copy() for a in arrays)
 
-    def adjoint(self, d_image, d_transmittance):
+    def adjoint(self, d_image, d_transmittance, **options):
         """Gradients of means2d, conics, slopes and features, summed over slots; they start as garbage."""
         padding = [(0, p - s) for p, s in zip(self.transmittance.shape, d_transmittance.shape, strict=True)]
-        out = SimpleNamespace(
-            d_means2d=wp.full(self.slots, wp.vec2(9.0), dtype=wp.vec2, device=self.device),
-            d_conics=wp.full(self.slots, wp.vec4(9.0), dtype=wp.vec4, device=self.device),
-            d_slopes=wp.full(self.slots, wp.vec2(9.0), dtype=wp.vec2, device=self.device),
-            d_features=wp.full((self.slots, self.image.shape[0]), 9.0, dtype=float, device=self.device),
-        )
+        garbage = [wp.full(self.slots, vec16(9.0), dtype=vec16, device=self.device) for _ in range(2)]
+        out = SlotGradients(garbage[0], None if self.identities is None else garbage[1])
         composite_adjoint(
             self.splats,
             self.tiles,
@@ -114,16 +118,17 @@ class Composited:
             d_image=wp.array(np.pad(d_image, [(0, 0), *padding]), dtype=float, device=self.device),
             d_transmittance=wp.array(np.pad(d_transmittance, padding), dtype=float, device=self.device),
             out=out,
+            identities=self.identities,
             cooperative=self.cooperative,
+            **options,
         )
         owners = self.tiles.slot_gaussians.numpy()[: self.slots]
-        sums = []
-        for array in (out.d_means2d, out.d_conics, out.d_slopes, out.d_features):
-            rows = array.numpy()
-            total = np.zeros((self.splats.depths.shape[0], rows.shape[1]))
-            np.add.at(total, owners, rows)
-            sums.append(total)
-        return sums
+        rows = np.concatenate([a.numpy() for a in (out.rows, out.identities) if a is not None], axis=1)
+        total = np.zeros((self.splats.depths.shape[0], rows.shape[1]))
+        np.add.at(total, owners, rows)
+        assert not total[:, 12:16].any()
+        features = np.concatenate([total[:, 8:12], total[:, 16:]], axis=1)
+        return [total[:, 4:6], total[:, :4], total[:, 6:8], features]
 
 
 def oracle(scene, size, d_image=None, d_transmittance=None):
@@ -175,10 +180,10 @@ def test_adjoint_matches_the_oracle(device, rng, channels):
     assert_same_direction(ours[1][:, 3], theirs[1][:, 3])
 
 
-def run_all(scene, size, device, seeds, **options):
-    """Planes and the slots' own gradients, as one list of arrays."""
+def run_all(scene, size, device, seeds, *, identity_shapes=True, **options):
+    """Planes and gradients, as one list of arrays."""
     run = Composited(scene, size, device, **options)
-    return [*run.planes(), *run.adjoint(*seeds)]
+    return [*run.planes(), *run.adjoint(*seeds, identity_shapes=identity_shapes)]
 
 
 def test_adjoint_matches_finite_differences(device, rng):
@@ -206,6 +211,27 @@ def test_adjoint_matches_finite_differences(device, rng):
         assert_same_direction(gradient, numeric, tolerance=2e-2)
 
 
+def detached_oracle(scene, size, d_image, d_transmittance):
+    """The oracle's gradients where the identity is blended by weights that take no gradient."""
+    tensors = {k: torch.from_numpy(v).double().requires_grad_(k != "depths") for k, v in scene.items()}
+    fixed = {k: v.detach() for k, v in tensors.items()} | {"features": tensors["features"]}
+    planes = composite_reference(**tensors, width=size[0], height=size[1])
+    identity = composite_reference(**fixed, width=size[0], height=size[1])[0][4:]
+    loss = (torch.cat([planes[0][:4], identity]) * torch.from_numpy(d_image)).sum()
+    loss = loss + (planes[1] * torch.from_numpy(d_transmittance)).sum()
+    return [g.numpy() for g in torch.autograd.grad(loss, [tensors[k] for k in NAMES])]
+
+
+def test_the_identity_may_be_kept_from_shaping(device, rng):
+    scene, size = make_scene(rng)
+    seeds = random_gradients(rng, 20, size)
+    run = Composited(scene, size, device)
+    ours = run.adjoint(*seeds, identity_shapes=False)
+    for mine, reference_gradient in zip(ours, detached_oracle(scene, size, *seeds), strict=True):
+        assert_same_direction(mine, reference_gradient)
+    assert np.array_equal(ours[3], run.adjoint(*seeds)[3])
+
+
 @pytest.fixture
 def cpu_blocks():
     """Lets a CPU run cooperative kernels, as a GPU does."""
@@ -215,12 +241,21 @@ def cpu_blocks():
     wp.config.enable_cpu_blocks = before
 
 
-@pytest.mark.parametrize("channels", [4, 20])
-def test_cuda_form_agrees_with_cpu_form(rng, cpu_blocks, channels):
+@pytest.mark.parametrize(("channels", "identity_shapes"), [(4, True), (20, True), (20, False)])
+def test_cuda_form_agrees_with_cpu_form(rng, cpu_blocks, channels, identity_shapes):
     scene, size = make_scene(rng, n=300, width=36, height=20, channels=channels, opacity=(0.05, 1.0))
     seeds = random_gradients(rng, channels, size)
     ours, theirs = (
-        run_all(scene, size, "cpu", seeds, everywhere=True, cooperative=form) for form in (True, False)
+        run_all(
+            scene,
+            size,
+            "cpu",
+            seeds,
+            everywhere=True,
+            cooperative=form,
+            identity_shapes=identity_shapes,
+        )
+        for form in (True, False)
     )
     for a, b in zip(ours[:3], theirs[:3], strict=True):
         assert np.abs(a - b).max() < 2e-5
@@ -327,9 +362,6 @@ def test_any_size_matches_the_oracle(n, width, height, seed):
 def test_misfits_are_named(device, rng):
     scene, size = make_scene(rng, n=3, channels=4)
     run = Composited(scene, size, device)
-    run.splats.features = wp.zeros((3, 5), dtype=float, device=device)
-    with pytest.raises(ValueError, match="5 channels"):
-        run.forward()
-    run.splats.features = wp.zeros((3, 20), dtype=float, device=device)
+    run.identities = wp.zeros(3, dtype=vec16, device=device)
     with pytest.raises(ValueError, match="needed"):
         run.forward()

@@ -49,7 +49,7 @@ class Projector:
             k: wp.array(np.asarray(scene[k], np.float32), dtype=TYPES[k], device=device) for k in fields
         }
         self.T_cw = wp.array(np.asarray(T_cw, np.float32)[None], dtype=wp.mat44, device=device)
-        self.splats = allocate_splats(self.n, 20 if identity else 4, device=device)
+        self.splats = allocate_splats(self.n, device=device)
 
     def forward(self):
         project(
@@ -67,16 +67,14 @@ class Projector:
         tiles = allocate_tiles(self.n, 20 * self.n, **size, device=self.device)
         splats = self.forward()
         bin_splats(splats.tile_rects, splats.depths, count=self.n, **size, out=tiles)
-        slots = allocate_slot_gradients(tiles.capacity, splats.features.shape[1], device=self.device)
+        slots = allocate_slot_gradients(tiles.capacity, d_features.shape[1], device=self.device)
         owner = tiles.slot_gaussians.numpy()
         share = 1.0 / np.maximum(np.bincount(owner[: tiles.counts.numpy()[1]], minlength=self.n), 1)
-        for out, values in (
-            (slots.d_means2d, d_means2d),
-            (slots.d_conics, d_conics),
-            (slots.d_slopes, d_slopes),
-            (slots.d_features, d_features),
-        ):
-            out.assign((values * share[:, None])[owner if self.n else np.zeros(0, int)].astype(np.float32))
+        rows = np.concatenate([d_conics, d_means2d, d_slopes, d_features[:, :4], np.zeros((self.n, 4))], 1)
+        for out, values in ((slots.rows, rows), (slots.identities, d_features[:, 4:])):
+            if out is not None:
+                spread = (values * share[:, None])[owner if self.n else np.zeros(0, int)]
+                out.assign(spread.astype(np.float32))
         gradients = {k: wp.zeros_like(a) for k, a in self.arrays.items()}
         scratch = tuple(wp.empty(k, dtype=vec6, device=self.device) for k in pose_levels(self.n))
         project_adjoint(
@@ -118,12 +116,13 @@ def test_projects_as_the_oracle(device, rng, identity):
     _, expected = oracle_of(scene)
     seen = splats.tile_rects.numpy()[:, 2] > 0
     assert seen.mean() > 0.5
-    for name in ("means2d", "conics", "slopes", "depths", "features"):
+    for name in ("means2d", "conics", "slopes", "depths", "extents"):
         value = getattr(expected, name).detach().numpy()[seen]
-        actual = getattr(splats, name).numpy()[seen]
-        np.testing.assert_allclose(
-            actual, value[:, : actual.shape[-1]] if value.ndim > 1 else value, rtol=2e-4, atol=2e-5
-        )
+        np.testing.assert_allclose(getattr(splats, name).numpy()[seen], value, rtol=2e-4, atol=2e-5)
+    heads = expected.features.detach().numpy()[seen, :4]
+    np.testing.assert_allclose(splats.heads.numpy()[seen], heads, rtol=2e-4, atol=2e-5)
+    logs = np.log(expected.conics.detach().numpy()[seen, 3])
+    np.testing.assert_allclose(splats.rows.numpy()[seen, 14], logs, rtol=2e-4, atol=2e-5)
 
 
 def test_tile_rects_hold_exactly_the_tiles_that_are_reached(device, rng):
@@ -186,8 +185,9 @@ def test_adjoint_agrees_with_finite_differences(device, rng):
 
     def loss(changed, T_cw=T_CW):
         splats = Projector(changed, device, T_cw=T_cw).forward()
-        outputs = (splats.means2d, splats.conics, splats.slopes, splats.features)
-        return sum((o.numpy().astype(np.float64) * w).sum() for o, w in zip(outputs, weights, strict=True))
+        outputs = [a.numpy() for a in (splats.means2d, splats.conics, splats.slopes, splats.heads)]
+        outputs[3] = np.concatenate([outputs[3], changed["identities"]], axis=1)
+        return sum((o.astype(np.float64) * w).sum() for o, w in zip(outputs, weights, strict=True))
 
     gradients = Projector(scene, device).adjoint(*weights)
     for name in FIELDS:

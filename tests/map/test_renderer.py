@@ -63,6 +63,21 @@ def test_room_grows_with_the_map_and_the_pairs(device: str, rng: np.random.Gener
     assert np.isfinite(gradient).all() and (gradient != 0).any()
 
 
+def test_the_identity_may_be_kept_from_shaping(device: str, rng: np.random.Generator) -> None:
+    gaussians, renderer = made(device, scene(60, rng))
+    alone = Renderer(gaussians, CAMERA, identity_shapes=False)
+    pose = renderer.pose_array(np.eye(4))
+    for r in (renderer, alone):
+        r.forward(pose)
+        r.d_image[4:].fill_(1e-3)
+        r.adjoint(pose)
+
+    identities = renderer.gradients.identities.numpy()[:60]
+    assert identities.any() and renderer.gradients.means.numpy()[:60].any()
+    assert np.array_equal(alone.gradients.identities.numpy()[:60], identities)
+    assert not alone.gradients.means.numpy()[:60].any()
+
+
 def test_an_empty_map_is_black(device: str) -> None:
     renderer = Renderer(GaussianMap(device=device, has_identity=True), CAMERA)
     pose = renderer.pose_array(np.eye(4))

@@ -49,7 +49,7 @@ class Stages:
         self._renderer.forward(self._T_cw)
         self._intrinsics = intrinsics_of(camera)
         self.channels = self._renderer.image.shape[0]
-        self._splats = allocate_splats(self._map.count, self.channels, device=self._device)
+        self._splats = allocate_splats(self._map.count, device=self._device)
         self._slots = allocate_slot_gradients(
             self._renderer.tiles.capacity, self.channels, device=self._device
         )
@@ -130,6 +130,7 @@ class Stages:
             image=r.image,
             transmittance=r.transmittance,
             median_depth=r.median_depth,
+            identities=self._map.parameters.identities,
         )
 
     def _loss(self) -> None:
@@ -157,6 +158,7 @@ class Stages:
             d_image=r.d_image,
             d_transmittance=r.d_transmittance,
             out=self._slots,
+            identities=self._map.parameters.identities,
         )
 
     def _project_adjoint(self) -> None:
@@ -195,7 +197,7 @@ def view_load(gaussians: GaussianMap, camera: Camera) -> Load:
     T_cw = renderer.pose_array(np.eye(4))
     renderer.provide(T_cw)
     renderer.forward(T_cw)
-    splats = allocate_splats(gaussians.count, 20 if gaussians.has_identity else 4, device=gaussians.device)
+    splats = allocate_splats(gaussians.count, device=gaussians.device)
     m = gaussians.parameters
     project(
         m.means, m.quats, m.log_scales, m.opacity_logits, m.colours, m.identities,
