@@ -64,7 +64,8 @@ def test_rows_are_the_paper_s():
 
 
 def test_speed_and_quality_of_a_run_say_what_it_ran_on():
-    outcome = Outcome(METRICS | {"dataset": "synthetic"}, {"mapping": 1.0}, [0.0, 10.0])
+    frames = [{"late_ms": 0.0}, {"late_ms": 10.0}]
+    outcome = Outcome(METRICS | {"dataset": "synthetic"}, {"mapping": 1.0}, frames)
     row = system.speed_row(RunSpec("office0"), outcome)
     assert row["sequence"] == "office0 (built-in)" and row["a frame"] == 10.0 and row["FPS"] == 4.0
     assert system.stage_row(RunSpec("office0"), outcome)["late max ms"] is None, "not live"
@@ -72,9 +73,24 @@ def test_speed_and_quality_of_a_run_say_what_it_ran_on():
     assert system.quality_row(RunSpec("office0"), outcome)["LPIPS"] is None
 
 
+def test_the_course_of_a_run_is_told_in_quarters():
+    frames = [
+        {"index": k, "tracking_ms": float(k), "mapping_ms": 20.0, "mapping_iterations": 4.0 * (k < 6),
+         "late_ms": 0.0, "gaussians": 100.0 * k}
+        for k in range(8)
+    ]  # fmt: skip
+    rows = system.course_rows(RunSpec("room0"), Outcome(METRICS, {}, frames))
+    assert [row["frames"] for row in rows] == ["0-1", "2-3", "4-5", "6-7"]
+    assert [row["tracking ms"] for row in rows] == [0.5, 2.5, 4.5, 6.5]
+    assert [row["mapping ms an iteration"] for row in rows] == [5.0, 5.0, 5.0, None]
+    assert rows[-1]["Gaussians"] == 700
+    assert len(system.course_rows(RunSpec("room0"), Outcome(METRICS, {}, frames[:2]))) == 2
+
+
 def test_live_runs_are_held_against_their_pace_and_the_synchronous_run():
     plain, live = RunSpec("redkitchen", "fast"), RunSpec("redkitchen", "fast", "5")
-    outcomes = {plain: Outcome(METRICS), live: Outcome(METRICS | {"psnr": 29.2}, {}, [0.0, 500.0])}
+    frames = [{"late_ms": 0.0}, {"late_ms": 500.0}]
+    outcomes = {plain: Outcome(METRICS), live: Outcome(METRICS | {"psnr": 29.2}, {}, frames)}
     speed = system.checks(plain, outcomes[plain], outcomes, True)
     assert [(c.value, c.target, c.met) for c in speed] == [(4.0, 10.0, False)]
     assert not system.checks(RunSpec("room0", "fast"), outcomes[plain], outcomes, True)

@@ -133,7 +133,7 @@ def describe(device: Any) -> dict[str, Any]:
         "cores": cores(),
         "load": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
         "system": f"{platform.system()} {platform.machine()}",
-        "versions": {"python": platform.python_version(), **_versions()},
+        "versions": {"python": platform.python_version(), **_versions(), **_cuda_version(device)},
         "commit": _commit(),
         "date": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
     }
@@ -147,6 +147,10 @@ def _versions() -> dict[str, str]:
         except metadata.PackageNotFoundError:
             continue
     return found
+
+
+def _cuda_version(device: Any) -> dict[str, str]:
+    return {} if device.is_cpu else {"cuda": str(torch.version.cuda)}
 
 
 def _cpu_name() -> str:

@@ -19,6 +19,9 @@ from ggwarp.run import parse
 SYNCHRONOUS = "none"
 """The cap of a run that is not live."""
 
+FRAME_COLUMNS = ("index", "tracking_ms", "mapping_ms", "mapping_iterations", "late_ms", "gaussians")
+"""What is taken of ``frames.csv``."""
+
 _TOOLS = Path(__file__).parents[1]
 
 
@@ -62,17 +65,22 @@ class Outcome:
     Attributes:
         metrics: of its ``metrics.json``.
         stages: seconds in tracking, insertion and mapping.
-        late_ms: how late each frame was taken up.
+        frames: the rows of its ``frames.csv`` that were processed, numbers by column.
         failure: why it gave nothing; "" when it did.
     """
 
     metrics: dict[str, Any] = field(default_factory=dict)
     stages: dict[str, float] = field(default_factory=dict)
-    late_ms: list[float] = field(default_factory=list)
+    frames: list[dict[str, float]] = field(default_factory=list)
     failure: str = ""
 
     def metric(self, name: str) -> float | None:
         return self.metrics.get(name)
+
+    @property
+    def late_ms(self) -> list[float]:
+        """How late each frame was taken up."""
+        return [row["late_ms"] for row in self.frames]
 
     @property
     def loop_s(self) -> float | None:
@@ -116,6 +124,7 @@ def execute(spec: RunSpec) -> Outcome:
             said = done.stderr.strip().splitlines() or ["no reason given"]
             return Outcome(failure=f"{spec.label}: exit code {done.returncode}: {said[-1]}")
         with (folder / "frames.csv").open(newline="") as file:
-            late = [float(row["late_ms"]) for row in csv.DictReader(file) if row["late_ms"]]
+            rows = [row for row in csv.DictReader(file) if row["verdict"] != "skipped"]
+        frames = [{name: float(row[name]) for name in FRAME_COLUMNS} for row in rows]
         metrics = json.loads((folder / "metrics.json").read_text())
-        return Outcome(metrics, json.loads(times.read_text()), late)
+        return Outcome(metrics, json.loads(times.read_text()), frames)

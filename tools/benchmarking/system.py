@@ -6,12 +6,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from benchmarking.options import Common, is_cpu, new_record, percent
 from benchmarking.record import Check, Record, Row, Section
 from benchmarking.runs import SYNCHRONOUS, Outcome, RunSpec, execute
 from ggwarp.config import device_name
 
-SPEED, STAGES, QUALITY = "speed", "where the time goes", "quality"
+SPEED, STAGES, COURSE, QUALITY = "speed", "where the time goes", "as a run goes on", "quality"
 _LATE_S, _LOSS_DB = 0.4, 0.5
 _CAPPED_ITERATIONS = 20.0
 
@@ -69,6 +71,7 @@ def sections(outcomes: dict[RunSpec, Outcome]) -> list[Section]:
             "shares of the loop's time; rest: reading, waiting for frames, deciding; what runs at once "
             "counts on both sides. Latency: from a frame's arrival to its pose; late: until it is taken up",
         ),
+        Section(COURSE, [row for s, o in runs for row in course_rows(s, o)], "means of each quarter"),
         Section(QUALITY, [quality_row(s, o) for s, o in runs]),
     ]
 
@@ -106,6 +109,25 @@ def stage_row(spec: RunSpec, outcome: Outcome) -> Row:
         "p95 ms": outcome.metric("latency_ms_p95"),
         "late max ms": max(late) if late else None,
     }
+
+
+def course_rows(spec: RunSpec, outcome: Outcome) -> list[Row]:
+    """Return how the cost of a frame and of an iteration changes from quarter to quarter of a run."""
+    rows = []
+    for part in np.array_split(np.arange(len(outcome.frames)), min(4, len(outcome.frames))):
+        frames = [outcome.frames[k] for k in part]
+        iterations = sum(f["mapping_iterations"] for f in frames)
+        mapping = sum(f["mapping_ms"] for f in frames)
+        rows.append(
+            {
+                **_named(spec, outcome),
+                "frames": f"{frames[0]['index']:.0f}-{frames[-1]['index']:.0f}",
+                "Gaussians": round(frames[-1]["gaussians"]),
+                "tracking ms": sum(f["tracking_ms"] for f in frames) / len(frames),
+                "mapping ms an iteration": mapping / iterations if iterations else None,
+            }
+        )
+    return rows
 
 
 def quality_row(spec: RunSpec, outcome: Outcome) -> Row:

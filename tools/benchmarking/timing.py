@@ -51,12 +51,12 @@ class Work:
 
     Attributes:
         run: the work.
-        prepare: done before each batch, untimed.
-        batch: runs a sample; the sample is their mean.
+        prepare: done before each batch, untimed; the batch is then as large as ``batch`` says.
+        batch: runs a sample; the sample is their mean. On CUDA more, if they are short.
     """
 
     run: Callable[[], object]
-    prepare: Callable[[], object] = lambda: None
+    prepare: Callable[[], object] | None = None
     batch: int = 1
 
 
@@ -81,7 +81,7 @@ def measure(
     for name, work in todo.items():
         _sample(work, work.batch, device)
         batches[name] = work.batch
-        if not device.is_cpu:
+        if not device.is_cpu and work.prepare is None:
             # What is recorded and replayed comes to its pace at the third run only.
             seconds = [_sample(work, work.batch, device) for _ in range(3)][-1]
             batches[name] *= max(1, round(_MIN_CUDA_S / max(seconds * work.batch, 1e-7)))
@@ -97,7 +97,8 @@ def measure(
 
 def _sample(work: Work, batch: int, device: Any) -> float:
     """Return the mean seconds of ``batch`` runs."""
-    work.prepare()
+    if work.prepare is not None:
+        work.prepare()
     _wait_for(device)
     started = time.perf_counter()
     for _ in range(batch):
