@@ -20,9 +20,10 @@ from typing import Literal
 from ggwarp.io.toml import TomlError, merged, read_toml
 from ggwarp.pipeline.keyframes import KeyframeConfig
 from ggwarp.pipeline.mapper import MapperConfig
-from ggwarp.pipeline.slam import SlamConfig
+from ggwarp.pipeline.slam import KeyframePolicyKind, SlamConfig
 from ggwarp.pipeline.trackable import TrackableConfig
 from ggwarp.pipeline.tracker import TrackerConfig
+from ggwarp.pipeline.window import WindowConfig
 from ggwarp.types import Camera
 
 Preset = Literal["gg-slam", "gs-icp", "monogs", "fast", "quality"]
@@ -87,6 +88,10 @@ class RunConfig:
     keyframes: KeyframeConfig = field(default_factory=KeyframeConfig)
     trackable: TrackableConfig = field(default_factory=TrackableConfig)
     mapper: MapperConfig = field(default_factory=MapperConfig)
+    policy: KeyframePolicyKind = "overlap"
+    """Keyframes are chosen by overlap with the trackable points (GG-SLAM), or by covisibility, to be kept in a
+    window that is fitted together (MonoGS)."""
+    window: WindowConfig = field(default_factory=WindowConfig)
 
     def slam(self) -> SlamConfig:
         """Return the part that configures :class:`ggwarp.pipeline.slam.Slam`."""
@@ -95,6 +100,8 @@ class RunConfig:
             keyframes=self.keyframes,
             trackable=self.trackable,
             mapper=self.mapper,
+            policy=self.policy,
+            window=self.window,
             use_identity=self.use_identity,
             use_true_poses=self.tracker == "ground-truth",
         )

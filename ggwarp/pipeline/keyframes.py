@@ -5,8 +5,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import Protocol
 
-from ggwarp.types import TrackResult, Verdict
+from ggwarp.types import Float64, TrackResult, Verdict
 
 
 class KeyframeKind(Enum):
@@ -31,6 +32,23 @@ class KeyframeConfig:
     """A frame is a mapping keyframe every so many frames since the last tracking keyframe."""
 
 
+class KeyframePolicy(Protocol):
+    """Decides which frames enter the map."""
+
+    @property
+    def empty(self) -> bool:
+        """Whether no frame has entered the map yet."""
+        ...
+
+    def decide(self, result: TrackResult) -> KeyframeKind:
+        """Return what the frame behind ``result`` adds; call once a frame, in order."""
+        ...
+
+    def moved(self, T_wc: Float64) -> None:
+        """Take note that the last keyframe's pose [4, 4] was corrected."""
+        ...
+
+
 class OverlapKeyframes:
     """GS-ICP-SLAM's policy: overlap with the map, and a fixed interval in between."""
 
@@ -53,3 +71,6 @@ class OverlapKeyframes:
         self._since_tracking += 1
         due = self._since_tracking % self._config.mapping_interval == 0
         return KeyframeKind.MAPPING if due else KeyframeKind.NONE
+
+    def moved(self, T_wc: Float64) -> None:
+        """Nothing here depends on where keyframes are."""

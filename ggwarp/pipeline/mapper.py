@@ -130,6 +130,17 @@ class Mapper:
         """Return the pose T_wc [4, 4] of keyframe ``number`` (-1: the newest) as it is now."""
         return self._fitter.pose(number)
 
+    def keyframe_poses(self) -> dict[int, Float64]:
+        """Return the pose of each keyframe that is fitted, by the frame's index; none where poses stay."""
+        if not self.fits_poses:
+            return {}
+        return {k.index: self._fitter.pose(number) for number, k in enumerate(self._fitter.keyframes)}
+
+    @property
+    def fits_poses(self) -> bool:
+        """Whether keyframes' poses are fitted with the map."""
+        return any(self._config.pose_rates)
+
     def render(self, T_wc: Float64) -> Rendered:
         """Return the map's view from ``T_wc`` [4, 4]."""
         r = self._renderer

@@ -12,7 +12,7 @@ import os
 import re
 import time
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -121,6 +121,10 @@ class RunRecord:
     def poses(self) -> dict[int, Float64]:
         """Return index -> [4, 4] estimated camera-to-world pose."""
         return {r.index: r.T_wc for r in self.reports}
+
+    def correct(self, poses: dict[int, Float64]) -> None:
+        """Replace the poses of the frames in ``poses``: fitted after they were reported."""
+        self.reports = [replace(r, T_wc=poses.get(r.index, r.T_wc)) for r in self.reports]
 
 
 def create_run_folder(out: Path | None, sequence: str) -> Path:

@@ -14,7 +14,7 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -24,12 +24,15 @@ from ggwarp.kernels.lanes import OPEN_ROAD, two_lanes
 from ggwarp.objects.inventory import ObjectRecord
 from ggwarp.objects.linear import LinearClassifier
 from ggwarp.pipeline.given_poses import GivenPoses
-from ggwarp.pipeline.keyframes import KeyframeConfig, KeyframeKind, OverlapKeyframes
+from ggwarp.pipeline.keyframes import KeyframeConfig, KeyframeKind, KeyframePolicy, OverlapKeyframes
 from ggwarp.pipeline.mapper import Mapper, MapperConfig
 from ggwarp.pipeline.scheduler import Arrival, Scheduler, SynchronousScheduler, Waiting
 from ggwarp.pipeline.trackable import TrackableConfig, TrackableMap
 from ggwarp.pipeline.tracker import GicpTracker, TrackerConfig
+from ggwarp.pipeline.window import CovisibilityKeyframes, WindowConfig
 from ggwarp.types import Camera, Float64, Frame, Rendered, StepReport, TrackResult, Verdict
+
+KeyframePolicyKind = Literal["overlap", "covisibility"]
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,9 @@ class SlamConfig:
     keyframes: KeyframeConfig = field(default_factory=KeyframeConfig)
     trackable: TrackableConfig = field(default_factory=TrackableConfig)
     mapper: MapperConfig = field(default_factory=MapperConfig)
+    policy: KeyframePolicyKind = "overlap"
+    """Keyframes by overlap with the trackable points (GG-SLAM), or by covisibility, in a window (MonoGS)."""
+    window: WindowConfig = field(default_factory=WindowConfig)
     use_identity: bool = True
     """Learn which object each Gaussian belongs to (GG-SLAM); False is GS-ICP-SLAM."""
     use_true_poses: bool = False
@@ -96,8 +102,14 @@ class Slam:
         tracker = GivenPoses if config.use_true_poses else GicpTracker
         self._tracker = tracker(config.tracker, sensor_camera, device=device)
         self._trackable = TrackableMap(config.trackable, device=device)
-        self._policy = OverlapKeyframes(config.keyframes)
-        self._mapper = Mapper(config.mapper, camera, device=device, use_identity=config.use_identity)
+        window = config.window if config.policy == "covisibility" else None
+        self._mapper = Mapper(
+            config.mapper, camera, device=device, use_identity=config.use_identity, window=window
+        )
+        look = None if self._mapper.covisibility is None else self._mapper.covisibility.look
+        self._policy: KeyframePolicy = (
+            OverlapKeyframes(config.keyframes) if look is None else CovisibilityKeyframes(config.window, look)
+        )
         self._scheduler = scheduler or SynchronousScheduler(config.mapper.iterations)
         self._lanes = (OPEN_ROAD, OPEN_ROAD)
         self.map = self._mapper.map
@@ -139,6 +151,8 @@ class Slam:
             done += 1
         with lane:
             loss = self._mapper.settle()
+        if tracked.kind is not KeyframeKind.NONE and self._mapper.fits_poses:
+            self._policy.moved(self._mapper.keyframe_pose(-1))
         return self._report(tracked, done, loss, time.perf_counter() - started)
 
     def leave_unmapped(self, tracked: Tracked) -> StepReport:
@@ -185,8 +199,12 @@ class Slam:
 
     @property
     def in_turn_only(self) -> bool:
-        """Whether the tracker looks at the Gaussians, so that it cannot run beside the mapper."""
-        return getattr(self._tracker, "needs_gaussians", False)
+        """Whether the tracker's side looks at the Gaussians, so that it cannot run beside the mapper."""
+        return any(getattr(part, "needs_gaussians", False) for part in (self._tracker, self._policy))
+
+    def fitted_poses(self) -> dict[int, Float64]:
+        """Return the pose T_wc [4, 4] of each reported frame; keyframes' as fitted with the map."""
+        return {r.index: r.T_wc for r in self.reports} | self._mapper.keyframe_poses()
 
     @property
     def keyframe_indices(self) -> list[int]:

@@ -8,6 +8,7 @@ from ggwarp import lie
 from ggwarp.datasets.synthetic import SyntheticOffice
 from ggwarp.pipeline.mapper import MapperConfig
 from ggwarp.pipeline.slam import Slam, SlamConfig
+from ggwarp.pipeline.window import WindowConfig
 from ggwarp.types import Frame, Verdict
 
 OFFICE = SyntheticOffice(scale=0.15)
@@ -73,3 +74,24 @@ def test_a_blind_start_waits_for_depth(device: str, frames: list[Frame]) -> None
     second = slam.step(frames[1])
     assert first.verdict is Verdict.LOST and first.gaussians == 0
     assert second.keyframe == "tracking" and second.gaussians > 0
+
+
+def test_covisible_keyframes_are_fitted_with_their_poses(device: str, frames: list[Frame]) -> None:
+    config = dataclasses.replace(
+        CONFIG,
+        mapper=dataclasses.replace(CONFIG.mapper, pose_rates=(1e-4, 1e-4)),
+        policy="covisibility",
+        window=WindowConfig(interval=2, min_translation=0.0, overlap=1.0),
+        use_identity=False,
+    )
+    slam = Slam(config, OFFICE.camera, OFFICE.camera, device=device)
+    assert slam.in_turn_only, "the keyframes depend on the Gaussians"
+    for frame in frames:
+        slam.step(frame)
+    tracked = {r.index: r.T_wc for r in slam.reports}
+    fitted = slam.fitted_poses()
+    assert slam.keyframe_indices == [0, 2, 4]
+    assert list(fitted) == list(tracked)
+    moved = [i for i, T in fitted.items() if not np.allclose(T, tracked[i], atol=1e-6)]
+    assert moved == [2, 4], "keyframes but the first, which holds the world in place"
+    assert all(error_cm(T, frames[i].T_wc) < 1.0 for i, T in fitted.items())
