@@ -89,8 +89,8 @@ class RunConfig:
     trackable: TrackableConfig = field(default_factory=TrackableConfig)
     mapper: MapperConfig = field(default_factory=MapperConfig)
     policy: KeyframePolicyKind = "overlap"
-    """Keyframes are chosen by overlap with the trackable points (GG-SLAM), or by covisibility, to be kept in a
-    window that is fitted together (MonoGS)."""
+    """Keyframes are chosen by overlap with the trackable points (GG-SLAM), or by covisibility, and kept in
+    a window that is fitted together (MonoGS)."""
     window: WindowConfig = field(default_factory=WindowConfig)
 
     def slam(self) -> SlamConfig:

@@ -11,6 +11,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ggwarp.kernels.covisibility import flag_seen
+from ggwarp.kernels.streams import to_host
 from ggwarp.map.gaussians import GaussianMap
 from ggwarp.map.renderer import Renderer
 from ggwarp.types import Camera, Float64
@@ -59,7 +60,7 @@ class Covisibility:
         opaque = renderer.plane(renderer.transmittance) < 1.0 - _OPAQUE
         depths = renderer.plane(renderer.median_depth)[opaque]
         median = float(np.median(depths)) if depths.size else float("nan")
-        return Sight(self._flags.numpy()[:count].astype(bool), median)
+        return Sight(to_host(self._flags)[:count].astype(bool), median)
 
 
 def intersection_over_union(a: Seen, b: Seen) -> float:
