@@ -115,7 +115,7 @@ class Fitter:
         with_pose = number > 0 and any(self._config.pose_rates)
         if self._recorded:
             staged = self._stage.load(keyframe)
-            variant = (staged.labels is not None, with_3d, with_pose)
+            variant = (staged.has_depth, staged.labels is not None, with_3d, with_pose)
             self._graphs.run(variant, lambda: self._fit(staged, with_3d, with_pose), arrays=self._allocation)
             if with_pose:
                 self._stage.store_pose(keyframe)
