@@ -11,7 +11,7 @@ import pytest
 import torch
 from rich.console import Console
 
-from benchmarking import gsplat_peer, kernels, machine, plots, scaling, tables, tracking
+from benchmarking import gsplat_peer, kernels, machine, plots, scaling, system, tables, tracking
 from benchmarking.clouds import Ours, grown, situation, small_gicp_or_none
 from benchmarking.machine import Limits
 from benchmarking.options import BenchmarkError, cpu_threads, image_size
@@ -285,3 +285,25 @@ def test_plots_are_drawn_or_the_remedy_is_said(tmp_path: Path, monkeypatch: pyte
     pytest.importorskip("matplotlib")
     assert plots.draw(record, tmp_path / "k") == [tmp_path / "k.png"]
     assert (tmp_path / "k.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_every_subcommand_has_its_plot(tmp_path: Path):
+    pytest.importorskip("matplotlib")
+    named = {"sequence": "office", "preset": "fast", "cap": "5"}
+    grown_rows = [{"map points": n, "frame ms": 9.0, "map, once a keyframe, ms": n / 1e3} for n in (10, 100)]
+    beside = [{"what": "frame", "threads": 1, "ours ms": 1.0, "small_gicp ms": 2.0}]
+    sizes = [{"Gaussians": n, "pixels": n, "ms": n / 7.0} for n in (10, 100)]
+    growth = Section(tracking.GROWTH, grown_rows)
+    scales = [Section(t, sizes) for t in (scaling.COVERED, scaling.SAME_SIZE, scaling.PIXELS)]
+    runs = [
+        Section(system.SPEED, [{**named, "FPS": 4.0}]),
+        Section(system.STAGES, [{**named, "tracking %": 30.0, "mapping %": None, "rest %": 5.0}]),
+        Section(system.QUALITY, [{**named, "PSNR": 30.0}]),
+    ]
+    sections = {"tracking": [Section(tracking.BESIDE, beside), growth], "scaling": [*scales, growth]}
+    for name, content in (sections | {"system": runs, "sweep": runs}).items():
+        record = made_record(sections=content)
+        record.benchmark = name
+        assert plots.draw(record, tmp_path / name) == [tmp_path / f"{name}.png"]
+        record.sections = []
+    assert plots.draw(record, tmp_path / "nothing") == [], "no run, no picture"
