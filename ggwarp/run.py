@@ -225,12 +225,12 @@ def _beside(config: RunConfig, slam: Slam) -> bool:
     """Return whether to track beside the mapper.
 
     Raises:
-        ConfigError: it is asked for, but the tracker cannot.
+        ConfigError: it is asked for, but tracking needs what is being mapped.
     """
     if config.pipelined == "on" and slam.in_turn_only:
         raise ConfigError(
-            f"--pipelined on: the {config.tracker} tracker looks at the Gaussians being mapped and works in "
-            "turn with the mapper; leave the option out"
+            "--pipelined on: here tracking looks at the Gaussians being mapped, and works in turn with "
+            "mapping; leave the option out"
         )
     if config.pipelined == "auto":
         return config.fps == "uncapped" and not slam.in_turn_only

@@ -203,7 +203,7 @@ def test_a_tracker_that_works_in_turn(scene, fake, monkeypatch, capsys):
     monkeypatch.setattr(fake, "in_turn_only", True)
     assert run.main(["--seq", "room9", "--device", "cpu", "--out", "o"]) == 0
     assert run.main(["--seq", "room9", "--device", "cpu", "--out", "o", "--pipelined", "on"]) == 2
-    assert "--pipelined on: the gicp tracker" in capsys.readouterr().err.splitlines()[-1]
+    assert "--pipelined on: here tracking looks at the Gaussians" in capsys.readouterr().err.splitlines()[-1]
 
 
 def test_bad_frames_are_skipped_and_counted(scene, fake, capsys):

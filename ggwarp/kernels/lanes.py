@@ -2,8 +2,8 @@
 """Two threads on one device: a CUDA stream for either, and turns to queue work on it.
 
 Warp knows one current stream a device, not one a thread. A thread therefore sets its stream and queues its
-work while the other does not; what both have queued runs at the same time. On a CPU launches need no
-such care, and a lane is nothing.
+work while the other does not, and lets the other in whenever it waits for the device; what both have queued
+runs at the same time. On a CPU launches need no such care, and a lane is nothing.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ class FairLock:
         return self._next.locked()
 
 
-class _StreamLane(contextlib.AbstractContextManager[None]):
-    """Work queued inside goes to ``stream``."""
+class StreamLane(contextlib.AbstractContextManager[None]):
+    """Work queued inside goes to ``stream``, and no other thread that shares ``lock`` queues any."""
 
     def __init__(self, stream: Any, lock: FairLock) -> None:
         self._stream = stream
@@ -60,14 +60,33 @@ class _StreamLane(contextlib.AbstractContextManager[None]):
         # What passes between the threads passes over the host: the streams need not wait for each other.
         self._scope = wp.ScopedStream(self._stream, sync_enter=False)
         self._scope.__enter__()
+        _here.lane = self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        _here.lane = None
         try:
             self._scope.__exit__(kind, error, trace)
         finally:
             self._lock.__exit__(kind, error, trace)
+
+
+_here = threading.local()
+
+
+@contextlib.contextmanager
+def stepped_out() -> Iterator[None]:
+    """Leave the lane that the calling thread is in, if any, for as long as it only waits."""
+    lane: StreamLane | None = getattr(_here, "lane", None)
+    if lane is None:
+        yield
+        return
+    lane.__exit__(None, None, None)
+    try:
+        yield
+    finally:
+        lane.__enter__()
 
 
 @contextlib.contextmanager
@@ -86,7 +105,7 @@ def two_lanes(device: Any) -> Iterator[tuple[Lane, Lane]]:
     for stream in streams:
         stream.wait_stream(own)
     try:
-        yield _StreamLane(streams[0], lock), _StreamLane(streams[1], lock)
+        yield StreamLane(streams[0], lock), StreamLane(streams[1], lock)
     finally:
         for stream in streams:
             own.wait_stream(stream)

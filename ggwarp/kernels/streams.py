@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from ggwarp.kernels.lanes import stepped_out
+
 
 def to_host(array: Any) -> np.ndarray:
     """Return ``array`` as NumPy; waits for its device's current stream, and for no other.
@@ -20,6 +22,9 @@ def to_host(array: Any) -> np.ndarray:
     """
     if array.device.is_cpu:
         return array.numpy()
+    event = array.device.stream.record_event()
+    with stepped_out():
+        wp.synchronize_event(event)
     host = wp.empty(array.shape, dtype=array.dtype, device="cpu")
     wp.copy(host, array)
     wp.synchronize_stream(array.device.stream)
@@ -44,6 +49,7 @@ class Backlog:
             return
         event = self._events[self._count % len(self._events)]
         if self._count >= len(self._events):
-            wp.synchronize_event(event)
+            with stepped_out():
+                wp.synchronize_event(event)
         self._device.stream.record_event(event)
         self._count += 1

@@ -164,7 +164,7 @@ class Slam:
         """Allow :meth:`track_frame` and :meth:`map_frame` to be called from a thread each.
 
         Raises:
-            ValueError: the tracker looks at the Gaussians.
+            ValueError: tracking looks at the Gaussians being mapped.
         """
         if self.in_turn_only:
             raise ValueError(

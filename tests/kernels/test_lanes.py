@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Two threads on one device."""
 
+import contextlib
 import threading
 import time
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
 import warp as wp
 
-from ggwarp.kernels.lanes import FairLock, two_lanes
+from ggwarp.kernels.lanes import FairLock, StreamLane, stepped_out, two_lanes
 from ggwarp.kernels.streams import to_host
 
 
@@ -37,6 +39,50 @@ def test_an_error_leaves_the_lock_free() -> None:
         raise ZeroDivisionError
     with lock:
         assert not lock.awaited
+
+
+class Streams:
+    """Stands in for a device's current stream, which a real one needs CUDA for."""
+
+    def __init__(self) -> None:
+        self.current = "own"
+
+    @contextlib.contextmanager
+    def scope(self, stream: str, sync_enter: bool) -> Iterator[None]:
+        before, self.current = self.current, stream
+        yield
+        self.current = before
+
+
+@pytest.fixture
+def streams(monkeypatch: pytest.MonkeyPatch) -> Streams:
+    streams = Streams()
+    monkeypatch.setattr(wp, "ScopedStream", streams.scope)
+    return streams
+
+
+def test_who_waits_lets_the_other_in_and_comes_back_to_its_own_stream(streams: Streams) -> None:
+    lock = FairLock()
+    one, other = StreamLane("one", lock), StreamLane("other", lock)
+    seen: list[str] = []
+
+    def visit() -> None:
+        with other:
+            seen.append(streams.current)
+
+    thread = threading.Thread(target=visit)
+    with one:
+        thread.start()
+        with stepped_out():
+            thread.join(10.0)
+            assert seen == ["other"] and streams.current == "own"
+        assert streams.current == "one"
+        with pytest.raises(ZeroDivisionError), stepped_out():
+            raise ZeroDivisionError
+        assert streams.current == "one"
+    assert streams.current == "own" and not lock.awaited
+    with stepped_out():  # in no lane there is none to leave
+        assert streams.current == "own"
 
 
 def test_each_lane_sees_its_own_work_and_the_device_sees_both(device: str) -> None:
