@@ -195,9 +195,9 @@ def execute(config: RunConfig, display: Display, interruption: Interruption, sta
         first = next(iter(record.skipped.values()))
         raise DatasetError(f"{dataset.name}: no frame could be used; the first: {first}")
     refine(slam, config.refine, record, display, interruption)
-    record.correct(slam.fitted_poses())
     if record.failure is not None:
-        _explain(record.failure, display)  # before saving, which may fail for the same reason
+        _explain(record.failure, display)  # first: what follows may fail for the same reason
+    record.correct(slam.fitted_poses())
     evaluate(slam, reader, kept, record, folder, display, interruption, every=every)
     display.stage("saving")
     metrics = save(slam, record, folder, started)

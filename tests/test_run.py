@@ -80,6 +80,9 @@ class FakeSlam:
     def skip_frame(self):
         pass
 
+    def fitted_poses(self):
+        return {}
+
     def in_two_threads(self):
         return contextlib.nullcontext()
 
