@@ -182,7 +182,9 @@ def execute(config: RunConfig, display: Display, interruption: Interruption, sta
     write_camera(folder / "camera.json", reader.camera)
     # Without masks there is no object to learn: the picture gets the time instead.
     system = dataclasses.replace(config.slam(), use_identity=config.use_identity and dataset.has_masks)
-    slam = Slam(system, reader.camera, reader.sensor_camera, device=device, scheduler=_scheduler(config))
+    slam = Slam(
+        system, reader.camera, reader.sensor_camera, device=device, scheduler=_scheduler(config, len(indices))
+    )
     beside = _beside(config, slam)
     load_kernels(device, display)
     names = getattr(dataset, "class_names", {})
@@ -214,11 +216,11 @@ def execute(config: RunConfig, display: Display, interruption: Interruption, sta
     return 0
 
 
-def _scheduler(config: RunConfig) -> Scheduler | None:
+def _scheduler(config: RunConfig, frames: int) -> Scheduler | None:
     """Return what paces the run; None: a fixed amount of mapping a frame."""
     if config.fps is None:
         return None
-    return UncappedScheduler() if config.fps == "uncapped" else LiveScheduler(config.fps)
+    return UncappedScheduler() if config.fps == "uncapped" else LiveScheduler(config.fps, frames=frames)
 
 
 def _beside(config: RunConfig, slam: Slam) -> bool:

@@ -175,7 +175,7 @@ def test_its_configuration_runs_again(scene, fake, tmp_path):
 
 def test_live_modes_have_their_schedulers(scene, fake, monkeypatch):
     made = []
-    monkeypatch.setattr(run, "LiveScheduler", lambda fps: made.append(fps) or SimpleNamespace())
+    monkeypatch.setattr(run, "LiveScheduler", lambda fps, frames: made.append(fps) or SimpleNamespace())
     monkeypatch.setattr(run, "UncappedScheduler", lambda: made.append("uncapped") or SimpleNamespace())
     for fps in ("30", "uncapped"):
         assert run.main(["--seq", "room9", "--device", "cpu", "--fps", fps, "--out", "o"]) == 0

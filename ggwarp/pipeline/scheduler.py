@@ -8,6 +8,7 @@ tracked, and the mapper has the time that tracking leaves it.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -90,14 +91,17 @@ class LiveScheduler:
         self,
         fps: float,
         *,
+        frames: int | None = None,
         clock: Callable[[], float] = time.perf_counter,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
+        """``frames``: after so many no more arrive; None: they never end."""
         if not fps > 0.0:
             raise ValueError(f"frames per second: {fps}, but a positive number is needed")
         self._period = 1.0 / fps
         self._clock = clock
         self._sleep = sleep
+        self._total = math.inf if frames is None else frames
         self._start: float | None = None
         self._frames = 0
         self._late = False
@@ -116,7 +120,8 @@ class LiveScheduler:
             self._sleep(arrival - now)
             now = self._clock()
         delay = max(0.0, now - arrival)
-        return Arrival(delay, self._late, int(delay / self._period))
+        behind = min(int(delay / self._period), max(0, self._total - self._frames))
+        return Arrival(delay, self._late, int(behind))
 
     def wants_more(self, done: int, waiting: Waiting | None) -> bool:
         if waiting is not None:

@@ -63,6 +63,13 @@ def test_a_late_frame_gets_no_mapping_and_says_how_late(time: FakeTime, live: Li
     assert not live.wants_more(0, None)
 
 
+def test_no_more_frames_wait_than_there_are(time: FakeTime) -> None:
+    live = LiveScheduler(10.0, frames=3, clock=time.clock, sleep=time.sleep)
+    live.take_up()
+    time.now = 5.0
+    assert [live.take_up().behind for _ in range(3)] == [1, 0, 0]
+
+
 def test_beside_the_tracker_mapping_goes_on_until_the_next_frame_waits(
     time: FakeTime, live: LiveScheduler
 ) -> None:
