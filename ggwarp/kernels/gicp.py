@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Generalised ICP: correspondences, 6x6 system, damped solve, SE(3) update.
+"""Generalised ICP: correspondences and the 6x6 system.
 
 For matched a_i (frame, camera coordinates) and b_i (map, world coordinates) with covariances A_i, B_i:
 
@@ -8,8 +8,9 @@ For matched a_i (frame, camera coordinates) and b_i (map, world coordinates) wit
 and T_wc <- T_wc Exp(xi), xi = (v, w): de = -(v + w x a). Everything is expressed in the camera, whose points
 lie around the origin, and summed in double precision, so that float32 points are enough for 0.01 mm.
 
-The sums go point -> block of :data:`BLOCK` points -> system, each in a fixed order: the bits do not depend on
-threads or device scheduling.
+The sums go points -> block -> system, each in a fixed order: the bits do not depend on threads or device
+scheduling. What changes from frame to frame lies in arrays, so that one recording of the loop
+(:mod:`ggwarp.kernels.gicp_loop`) serves them all.
 """
 
 from __future__ import annotations
@@ -19,44 +20,18 @@ from typing import Any
 import warp as wp
 
 from ggwarp.kernels.launch import launch_split
-from ggwarp.kernels.math import mat66d, vec6d
 from ggwarp.kernels.neighbours import HashGrid, nearest_in_grid
+from ggwarp.kernels.rigid import matrix_to_double, rotation_d, to_double, translation_d
 
 wp.set_module_options({"enable_backward": False})
-
-BLOCK = 32
-"""Points that one thread sums."""
 
 SUMS = 29
 """Numbers of a system: 21 of the upper triangle of H by rows, 6 of g, the robust cost, the matched pairs."""
 
-_BLOCK = wp.constant(BLOCK)
+FOLDED = 64
+"""Rows that many rows of sums are folded to first."""
 
 vec29d = wp.types.vector(SUMS, wp.float64)
-
-
-@wp.func
-def _rotation(T: wp.mat44d) -> wp.mat33d:
-    return wp.mat33d(T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2], T[2, 0], T[2, 1], T[2, 2])
-
-
-@wp.func
-def _translation(T: wp.mat44d) -> wp.vec3d:
-    return wp.vec3d(T[0, 3], T[1, 3], T[2, 3])
-
-
-@wp.func
-def _to_double(p: wp.vec3) -> wp.vec3d:
-    return wp.vec3d(wp.float64(p[0]), wp.float64(p[1]), wp.float64(p[2]))
-
-
-@wp.func
-def _matrix_to_double(A: wp.mat33) -> wp.mat33d:
-    return wp.mat33d(
-        wp.float64(A[0, 0]), wp.float64(A[0, 1]), wp.float64(A[0, 2]),
-        wp.float64(A[1, 0]), wp.float64(A[1, 1]), wp.float64(A[1, 2]),
-        wp.float64(A[2, 0]), wp.float64(A[2, 1]), wp.float64(A[2, 2]),
-    )  # fmt: skip
 
 
 @wp.kernel
@@ -70,7 +45,7 @@ def _match(
     distances2: wp.array[float],
 ):
     i = offset + wp.tid()
-    q = _rotation(pose[0]) * _to_double(points[i]) + _translation(pose[0])
+    q = rotation_d(pose[0]) * to_double(points[i]) + translation_d(pose[0])
     j, d2 = nearest_in_grid(grid, wp.vec3(float(q[0]), float(q[1]), float(q[2])), radius)
     matches[i] = j
     distances2[i] = wp.where(j >= 0, d2, wp.inf)
@@ -105,34 +80,60 @@ def robust_weight(e2: wp.float64, scale2: wp.float64) -> wp.float64:
     return w * w
 
 
+@wp.struct
+class Problem:
+    """A frame's points in camera coordinates, and the map in world coordinates that they are laid on."""
+
+    points: wp.array[wp.vec3]
+    covariances: wp.array[wp.mat33]
+    grid: HashGrid
+    grid_covariances: wp.array[wp.mat33]
+
+
+@wp.struct
+class StageSettings:
+    """See :class:`ggwarp.ops.registration.Stage`."""
+
+    radius: float
+    iterations: int
+    tolerance: wp.float64
+    robust_scale: wp.float64
+    thinning: int
+
+
 @wp.kernel
 def _linearise(
     offset: int,
-    points: wp.array[wp.vec3],
-    covariances: wp.array[wp.mat33],
-    grid: HashGrid,
-    grid_covariances: wp.array[wp.mat33],
+    problems: wp.array[Problem],
+    stages: wp.array[StageSettings],
+    stage: int,
+    per_block: int,
     pose: wp.array[wp.mat44d],
-    matches: wp.array[int],
-    robust_scale2: wp.float64,
     sums: wp.array2d[wp.float64],
 ):
     block = offset + wp.tid()
-    R = _rotation(pose[0])
+    problem = problems[0]
+    settings = stages[stage]
+    scale2 = settings.robust_scale * settings.robust_scale
+    R = rotation_d(pose[0])
     Rt = wp.transpose(R)
-    t = _translation(pose[0])
+    t = translation_d(pose[0])
+    used = (problem.points.shape[0] + settings.thinning - 1) / settings.thinning
     total = vec29d()
-    for i in range(block * _BLOCK, wp.min((block + 1) * _BLOCK, points.shape[0])):
-        j = matches[i]
+    for place in range(block * per_block, wp.min((block + 1) * per_block, used)):
+        i = place * settings.thinning
+        a = to_double(problem.points[i])
+        q = R * a + t
+        j, _d2 = nearest_in_grid(
+            problem.grid, wp.vec3(float(q[0]), float(q[1]), float(q[2])), settings.radius
+        )
         if j >= 0:
-            a = _to_double(points[i])
-            e = Rt * (_to_double(grid.points[j]) - t) - a
-            M = wp.inverse(
-                Rt * _matrix_to_double(grid_covariances[j]) * R + _matrix_to_double(covariances[i])
-            )
+            e = Rt * (to_double(problem.grid.points[j]) - t) - a
+            B = matrix_to_double(problem.grid_covariances[j])
+            M = wp.inverse(Rt * B * R + matrix_to_double(problem.covariances[i]))
             Me = M * e
             e2 = wp.dot(e, Me)
-            w = robust_weight(e2, robust_scale2)
+            w = robust_weight(e2, scale2)
             # Rows of J^T = (I, [a]x): -de/dxi transposed.
             A = wp.skew(a)
             MA = M * A
@@ -160,165 +161,68 @@ def _linearise(
 
 
 @wp.kernel
-def _reduce(sums: wp.array2d[wp.float64], blocks: int, system: wp.array[wp.float64]):
-    k = wp.tid()
+def _fold(sums: wp.array2d[wp.float64], rows: int, folded: wp.array2d[wp.float64]):
+    """Row f of ``folded``: the sum of rows f, f + F, ... of ``sums``, F being the rows of ``folded``."""
+    f, k = wp.tid()
     total = wp.float64(0.0)
-    for block in range(blocks):
-        total += sums[block, k]
-    system[k] = total
-
-
-def block_count(n: int) -> int:
-    """Return the rows of ``sums`` that ``n`` points need."""
-    return (n + BLOCK - 1) // BLOCK
-
-
-def linearise(
-    points: Any,
-    covariances: Any,
-    grid: Any,
-    grid_covariances: Any,
-    pose: Any,
-    matches: Any,
-    *,
-    robust_scale: float,
-    sums: Any,
-    system: Any,
-    device: Any,
-) -> None:
-    """Sum the normal equations H xi = g of the matched pairs.
-
-    Args:
-        points: [n] wp.vec3, camera frame, metres.
-        covariances: [n] wp.mat33, camera frame.
-        grid: built :class:`HashGrid` of the map's points, world frame.
-        grid_covariances: [m] wp.mat33, world frame, in the grid's order.
-        pose: [1] wp.mat44d, T_wc.
-        matches: [n] int from :func:`match_points`.
-        robust_scale: Mahalanobis distance at which Geman-McClure halves a residual's share of the cost.
-        sums: [>= block_count(n), SUMS] float64, scratch.
-        system: [SUMS] float64, written; see :data:`SUMS`.
-    """
-    blocks = block_count(points.shape[0])
-    launch_split(
-        _linearise,
-        blocks,
-        inputs=[
-            points,
-            covariances,
-            grid,
-            grid_covariances,
-            pose,
-            matches,
-            robust_scale * robust_scale,
-        ],
-        outputs=[sums],
-        device=device,
-        min_piece=8,
-    )
-    wp.launch(_reduce, dim=SUMS, inputs=[sums, blocks], outputs=[system], device=device)
-
-
-@wp.func
-def _solve(H: mat66d, g: vec6d) -> vec6d:
-    """Cholesky; zero where the matrix is not positive definite."""
-    L = mat66d()
-    for r in range(6):
-        for c in range(r + 1):
-            s = H[r, c]
-            for k in range(c):
-                s -= L[r, k] * L[c, k]
-            if r == c:
-                if not (s > wp.float64(0.0)):
-                    return vec6d()
-                L[r, r] = wp.sqrt(s)
-            else:
-                L[r, c] = s / L[c, c]
-    x = vec6d()
-    for r in range(6):
-        s = g[r]
-        for k in range(r):
-            s -= L[r, k] * x[k]
-        x[r] = s / L[r, r]
-    for b in range(6):
-        r = 5 - b
-        s = x[r]
-        for k in range(r + 1, 6):
-            s -= L[k, r] * x[k]
-        x[r] = s / L[r, r]
-    return x
-
-
-@wp.func
-def se3_exp(xi: vec6d) -> wp.mat44d:
-    """Rigid motion of a twist (translation, rotation)."""
-    v = wp.vec3d(xi[0], xi[1], xi[2])
-    w = wp.vec3d(xi[3], xi[4], xi[5])
-    one = wp.float64(1.0)
-    theta2 = wp.dot(w, w)
-    a = one - theta2 / wp.float64(6.0)
-    b = wp.float64(0.5) - theta2 / wp.float64(24.0)
-    c = one / wp.float64(6.0) - theta2 / wp.float64(120.0)
-    if theta2 > wp.float64(1.0e-8):
-        theta = wp.sqrt(theta2)
-        half = wp.sin(wp.float64(0.5) * theta) / theta
-        a = wp.sin(theta) / theta
-        b = wp.float64(2.0) * half * half
-        c = (theta - wp.sin(theta)) / (theta2 * theta)
-    W = wp.skew(w)
-    W2 = W * W
-    eye = wp.identity(n=3, dtype=wp.float64)
-    R = eye + a * W + b * W2
-    t = (eye + b * W + c * W2) * v
-    zero = wp.float64(0.0)
-    return wp.mat44d(
-        R[0, 0], R[0, 1], R[0, 2], t[0],
-        R[1, 0], R[1, 1], R[1, 2], t[1],
-        R[2, 0], R[2, 1], R[2, 2], t[2],
-        zero, zero, zero, one,
-    )  # fmt: skip
-
-
-@wp.func
-def orthonormalised(T: wp.mat44d) -> wp.mat44d:
-    """One Newton step towards the nearest rotation: undoes the rounding of many updates."""
-    R = _rotation(T)
-    S = wp.float64(1.5) * wp.identity(n=3, dtype=wp.float64) - wp.float64(0.5) * (wp.transpose(R) * R)
-    R = R * S
-    for r in range(3):
-        for c in range(3):
-            T[r, c] = R[r, c]
-    return T
+    for row in range(f, rows, folded.shape[0]):
+        total += sums[row, k]
+    folded[f, k] = total
 
 
 @wp.kernel
-def _update(
-    system: wp.array[wp.float64], damping: wp.float64, pose: wp.array[wp.mat44d], step: wp.array[wp.float64]
-):
-    H = mat66d()
-    g = vec6d()
-    k = int(0)
-    for r in range(6):
-        g[r] = system[21 + r]
-        for c in range(r, 6):
-            H[r, c] = system[k]
-            H[c, r] = system[k]
-            k += 1
-    for r in range(6):
-        H[r, r] += damping * H[r, r]
-    xi = _solve(H, g)
-    pose[0] = orthonormalised(pose[0] * se3_exp(xi))
-    step[0] = wp.sqrt(xi[0] * xi[0] + xi[1] * xi[1] + xi[2] * xi[2])
-    step[1] = wp.sqrt(xi[3] * xi[3] + xi[4] * xi[4] + xi[5] * xi[5])
+def _reduce(sums: wp.array2d[wp.float64], rows: int, system: wp.array[wp.float64]):
+    k = wp.tid()
+    total = wp.float64(0.0)
+    for row in range(rows):
+        total += sums[row, k]
+    system[k] = total
 
 
-def update_pose(system: Any, *, damping: float, pose: Any, step: Any, device: Any) -> None:
-    """Solve (H + damping diag H) xi = g and set T_wc <- T_wc Exp(xi); a singular system leaves T_wc.
+def points_per_block(device: Any) -> int:
+    """Return how many points one thread sums: many on a CPU, few where threads are many."""
+    return 32 if wp.get_device(device).is_cpu else 2
+
+
+def block_count(n: int, device: Any) -> int:
+    """Return the rows of ``sums`` that ``n`` points need."""
+    return -(-n // points_per_block(device))
+
+
+def linearise(
+    problem: Any,
+    stages: Any,
+    *,
+    stage: int,
+    count: int,
+    pose: Any,
+    sums: Any,
+    folded: Any,
+    system: Any,
+    device: Any,
+) -> None:
+    """Match the points to the map and sum the normal equations H xi = g of the pairs.
 
     Args:
-        system: [SUMS] float64 from :func:`linearise`.
-        damping: Levenberg-Marquardt's relative damping.
-        pose: [1] wp.mat44d, T_wc, updated.
-        step: [2] float64, written: |v| metres, |w| radians.
+        problem: [1] :class:`Problem`, the grid built, its covariances in the grid's order.
+        stages: [stages] :class:`StageSettings`.
+        stage: which of them.
+        count: at least the points that this stage uses of the problem's.
+        pose: [1] wp.mat44d, T_wc.
+        sums: [>= block_count(count), SUMS] float64, scratch.
+        folded: [F, SUMS] float64, scratch.
+        system: [SUMS] float64, written; see :data:`SUMS`.
     """
-    wp.launch(_update, dim=1, inputs=[system, damping], outputs=[pose, step], device=device)
+    rows = block_count(count, device)
+    launch_split(
+        _linearise,
+        rows,
+        inputs=[problem, stages, stage, points_per_block(device), pose],
+        outputs=[sums],
+        device=device,
+        min_piece=4,
+    )
+    if rows > FOLDED * 8:
+        wp.launch(_fold, dim=folded.shape, inputs=[sums, rows], outputs=[folded], device=device)
+        sums, rows = folded, folded.shape[0]
+    wp.launch(_reduce, dim=SUMS, inputs=[sums, rows], outputs=[system], device=device)

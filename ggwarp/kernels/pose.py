@@ -6,8 +6,8 @@ from typing import Any
 import warp as wp
 
 from ggwarp.kernels.adam import BETA1, BETA2, EPSILON, LOG_BETA1, LOG_BETA2
-from ggwarp.kernels.gicp import orthonormalised, se3_exp, vec6d
-from ggwarp.kernels.math import vec6
+from ggwarp.kernels.math import vec6, vec6d
+from ggwarp.kernels.rigid import orthonormalised, se3_exp
 
 wp.set_module_options({"enable_backward": False})
 

@@ -6,15 +6,22 @@ Works on Warp arrays; :mod:`ggwarp.ops.gicp` is the same for torch tensors.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from ggwarp.kernels import covariance, gicp, neighbours
+from ggwarp.kernels import covariance, gicp, gicp_loop, neighbours
+from ggwarp.kernels.graph import GraphCache
 from ggwarp.kernels.streams import to_host
 from ggwarp.types import Float64
+
+_POSE = 16
+"""Numbers of a pose."""
+
+_GROWTH = 1.5
 
 
 @dataclass(frozen=True)
@@ -32,10 +39,6 @@ class Cloud:
     @property
     def count(self) -> int:
         return self.points.shape[0]
-
-    def thinned(self, step: int) -> Cloud:
-        """Return every ``step``-th point, without a copy."""
-        return Cloud(self.points[::step], self.covariances[::step])
 
 
 @dataclass(frozen=True)
@@ -114,58 +117,106 @@ def build_target(means: Any, quats: Any, scales: Any, *, cell_size: float, devic
 def register(
     cloud: Cloud, target: Target, T_start: Float64, stages: list[Stage], *, device: Any
 ) -> Registration:
-    """Find the pose that lays ``cloud`` on ``target``.
+    """Find the pose that lays ``cloud`` on ``target``; see :class:`Registrar`."""
+    return Registrar(device=device, recorded=False).register(cloud, target, T_start, stages)
 
-    Args:
-        cloud: points and covariances, camera frame.
-        T_start: [4, 4] camera-to-world, where to start.
-        stages: coarse to fine.
+
+class Registrar:
+    """Registers one cloud after another in arrays that it keeps.
+
+    Recorded, the whole registration is one graph, whatever the cloud and the target: it is recorded anew only
+    where a cloud outgrows the arrays. The result is read once.
     """
-    pose = wp.array(np.asarray(T_start, np.float64)[None], dtype=wp.mat44d, device=device)
-    step = wp.zeros(2, dtype=wp.float64, device=device)
-    system = wp.zeros(gicp.SUMS, dtype=wp.float64, device=device)
-    sums = _empty((max(1, gicp.block_count(cloud.count)), gicp.SUMS), wp.float64, device)
-    matches = _empty(cloud.count, int, device)
-    distances2 = _empty(cloud.count, float, device)
-    iterations, converged = 0, False
-    for stage in stages:
-        part = cloud.thinned(stage.thinning)
-        for _ in range(stage.iterations):
-            gicp.match_points(
-                part.points,
-                target.grid,
-                pose,
-                radius=stage.radius,
-                matches=matches,
-                distances2=distances2,
-                device=device,
-            )
-            gicp.linearise(
-                part.points,
-                part.covariances,
-                target.grid,
-                target.covariances,
-                pose,
-                matches,
-                robust_scale=stage.robust_scale,
-                sums=sums,
-                system=system,
-                device=device,
-            )
-            gicp.update_pose(system, damping=0.0, pose=pose, step=step, device=device)
-            iterations += 1
-            converged = bool(to_host(step).max() < stage.tolerance)
-            if converged:
-                break
-    numbers: Float64 = np.asarray(to_host(system), np.float64)
-    return Registration(
-        T_wc=to_host(pose)[0].copy(),
-        information=unpack_information(numbers),
-        cost=float(numbers[27]),
-        matched=int(numbers[28]),
-        converged=converged,
-        iterations=iterations,
-    )
+
+    def __init__(self, *, device: Any, recorded: bool | None = None) -> None:
+        """Allocate nothing yet.
+
+        Args:
+            recorded: record and replay; the default does on CUDA where the driver has loops in graphs. On the
+                CPU a recording runs on one thread.
+        """
+        self._device = wp.get_device(device)
+        if recorded is None:
+            recorded = self._device.is_cuda and wp.is_conditional_graph_supported()
+        self._recorded = recorded
+        self._graphs = GraphCache(self._device)
+        self._room = (0, 0)
+
+    def register(self, cloud: Cloud, target: Target, T_start: Float64, stages: list[Stage]) -> Registration:
+        """Find the pose that lays ``cloud`` on ``target``.
+
+        Args:
+            cloud: points and covariances, camera frame.
+            T_start: [4, 4] camera-to-world, where to start.
+            stages: coarse to fine.
+        """
+        self._reserve(cloud.count, len(stages))
+        self._load(cloud, target, T_start, stages)
+        if self._recorded:
+            thinnings = tuple(stage.thinning for stage in stages)
+            room = self._room[0]
+            self._graphs.run(thinnings, lambda: self._run(thinnings, room), arrays=self._room)
+        else:
+            self._run([stage.thinning for stage in stages], cloud.count)
+        return self._result()
+
+    def _run(self, thinnings: Sequence[int], count: int) -> None:
+        for stage, thinning in enumerate(thinnings):
+            gicp_loop.run_stage(self._arrays, stage=stage, count=-(-count // thinning), device=self._device)
+
+    def _reserve(self, points: int, stages: int) -> None:
+        if points <= self._room[0] and stages <= self._room[1]:
+            return
+        self._room = (max(int(_GROWTH * points), self._room[0]), max(stages, self._room[1]))
+
+        def zeros(shape: Any, dtype: Any) -> Any:
+            return wp.zeros(shape, dtype=dtype, device=self._device)
+
+        # What is read in the end lies together.
+        self._numbers = zeros(_POSE + gicp.SUMS + gicp_loop.PROGRESS, wp.float64)
+        matrix: Any = wp.mat44d
+        pose = wp.array(ptr=self._numbers.ptr, dtype=matrix, shape=1, device=self._device)
+        pose._ref = self._numbers
+        rows = max(1, gicp.block_count(self._room[0], self._device))
+        self._arrays = gicp_loop.LoopArrays(
+            problem=zeros(1, gicp.Problem),
+            stages=zeros(max(1, self._room[1]), gicp.StageSettings),
+            pose=pose,
+            system=self._numbers[_POSE : _POSE + gicp.SUMS],
+            progress=self._numbers[_POSE + gicp.SUMS :],
+            state=zeros(gicp_loop.STATES, wp.int32),
+            sums=zeros((rows, gicp.SUMS), wp.float64),
+            folded=zeros((gicp.FOLDED, gicp.SUMS), wp.float64),
+        )
+
+    def _load(self, cloud: Cloud, target: Target, T_start: Float64, stages: list[Stage]) -> None:
+        problem: Any = gicp.Problem()
+        problem.points, problem.covariances = cloud.points, cloud.covariances
+        problem.grid, problem.grid_covariances = target.grid, target.covariances
+        self._arrays.problem.assign([problem])
+        rows = []
+        for stage in stages:
+            row: Any = gicp.StageSettings()
+            for name in ("radius", "iterations", "tolerance", "robust_scale", "thinning"):
+                setattr(row, name, getattr(stage, name))
+            rows.append(row)
+        if rows:
+            self._arrays.stages[: len(rows)].assign(rows)
+        numbers = np.zeros(self._numbers.shape[0])
+        numbers[:_POSE] = np.asarray(T_start, np.float64).ravel()
+        self._numbers.assign(numbers)
+
+    def _result(self) -> Registration:
+        numbers: Float64 = np.array(to_host(self._numbers), np.float64)
+        system, progress = numbers[_POSE : _POSE + gicp.SUMS], numbers[_POSE + gicp.SUMS :]
+        return Registration(
+            T_wc=numbers[:_POSE].reshape(4, 4),
+            information=unpack_information(system),
+            cost=float(system[27]),
+            matched=int(system[28]),
+            converged=bool(progress[gicp_loop.CONVERGED]),
+            iterations=int(progress[gicp_loop.ITERATIONS]),
+        )
 
 
 def unpack_information(system: Float64) -> Float64:

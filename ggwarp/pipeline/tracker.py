@@ -10,7 +10,7 @@ import numpy as np
 
 from ggwarp import lie
 from ggwarp.kernels.streams import to_host
-from ggwarp.ops.registration import Registration, Stage, Target, build_target, match_distances2, register
+from ggwarp.ops.registration import Registrar, Registration, Stage, Target, build_target, match_distances2
 from ggwarp.pipeline.observation import Observation, ObservationConfig, observe
 from ggwarp.types import Camera, Float32, Float64, Frame, MapSnapshot, TrackResult, Verdict
 
@@ -96,6 +96,7 @@ class GicpTracker:
         self._config = config
         self._camera = sensor_camera
         self._device = device
+        self._registrar = Registrar(device=device)
         self._target: Target | None = None
         self._target_version: int | None = None
         self._motion: _Motion | None = None
@@ -183,7 +184,7 @@ class GicpTracker:
 
     def _fit(self, seen: Observation, T_start: Float64) -> tuple[Registration, Float32]:
         assert self._target is not None
-        fit = register(seen.cloud, self._target, T_start, self._stages(seen.spacing), device=self._device)
+        fit = self._registrar.register(seen.cloud, self._target, T_start, self._stages(seen.spacing))
         return fit, self._distances2(seen, fit.T_wc)
 
     def _distances2(self, seen: Observation, T_wc: Float64) -> Float32:
