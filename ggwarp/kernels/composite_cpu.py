@@ -13,7 +13,9 @@ from ggwarp.kernels.composite_patches import (
     OPTIONS,
     TRANSMITTANCE_MIN,
     aligned,
+    depth_at,
     first_quad,
+    log_alpha,
     make_exp,
     on_tile,
     patch_rect,
@@ -109,10 +111,9 @@ def _make(channels: int):
                         s = splats[k]
                         dx = pixel_x - vec16(s[4])
                         dy = pixel_y - vec16(s[5])
-                        power = wp.cw_mul(dx, dx * s[0] + dy * s[1]) + wp.cw_mul(dy, dy * s[2]) + vec16(s[14])
+                        power = log_alpha(s, dx, dy)
                         alpha = wp.min(exp(power), vec16(ALPHA_MAX))
-                        rise = dx * s[6] + dy * s[7]
-                        depth = rise + vec16(s[11])
+                        depth = depth_at(s, dx, dy)
                         features = 16 * k + 8
                         w = vec16()
                         for j in range(16):
@@ -121,11 +122,11 @@ def _make(channels: int):
                             after = T[j] - w[j]
                             median[j] = wp.where(T[j] >= 0.5 and after < 0.5, depth[j], median[j])
                             T[j] = after
-                        for c in range(4):
+                        for c in range(3):
                             acc[c] += w * splat_floats[features + c]
+                        acc[DEPTH] += wp.cw_mul(w, depth)
                         for c in range(4, channels):
                             acc[c] += w * splat_floats[features + 4 + c]
-                        acc[DEPTH] += wp.cw_mul(w, rise)
                     acc[channels] = T
                     acc[channels + 1] = median
                     state[patch] = acc

@@ -22,8 +22,9 @@ from ggwarp.kernels.composite_patches import (
     TRANSMITTANCE_MIN,
     aligned,
     any_at_least,
+    depth_at,
     first_quad,
-    load_patch,
+    log_alpha,
     make_exp,
     on_tile,
     patch_rect,
@@ -52,8 +53,8 @@ def _centred(patch: int, lane: int) -> wp.vec2:
 
 def _make(channels: int):
     lines = 2 if channels == 20 else 1
-    head_rows = wp.types.matrix((4, 16), wp.float32)
-    tile_lines = 16 * (24 + 32 * (lines - 1)) + 1
+    patch_channels = wp.types.matrix((channels, 16), wp.float32)
+    tile_lines = 16 * (20 + channels + 16 * (lines - 1)) + 1
     chunk_lines = CHUNK * (2 * lines + 3) + 1
     exp = make_exp()
 
@@ -97,10 +98,10 @@ def _make(channels: int):
         # the rows that w and d loss / d ln alpha multiply; T and R.
         memory = wp.zeros(shape=tile_lines, dtype=vec16)
         address = aligned(memory.ptr)
-        g = wp.array(ptr=address, shape=(16,), dtype=head_rows)
-        g_lines = wp.array(ptr=address, shape=(64,), dtype=vec16)
-        g_floats = wp.array(ptr=address, shape=(1024,), dtype=float)
-        address += wp.uint64(64) * LINE
+        g = wp.array(ptr=address, shape=(16,), dtype=patch_channels)
+        g_quads = wp.array(ptr=address, shape=(64 * channels,), dtype=wp.vec4)
+        g_floats = wp.array(ptr=address, shape=(256 * channels,), dtype=float)
+        address += wp.static(wp.uint64(16 * 64 * channels))
         by_weight = wp.array(ptr=address, shape=(16,), dtype=mat16x8)
         weight_rows = wp.array(ptr=address, shape=(256,), dtype=vec8)
         address += wp.uint64(128) * LINE
@@ -109,12 +110,9 @@ def _make(channels: int):
         address += wp.uint64(128) * LINE
         transmittances = wp.array(ptr=address, shape=(16,), dtype=vec16)
         behind = wp.array(ptr=address + wp.uint64(16) * LINE, shape=(16,), dtype=vec16)
+        behind_quads = wp.array(ptr=address + wp.uint64(16) * LINE, shape=(64,), dtype=wp.vec4)
         pixels = wp.array(ptr=address + wp.uint64(32) * LINE, shape=(32,), dtype=vec16)
         address += wp.uint64(64) * LINE
-        g_identity = wp.array(ptr=address, shape=(16,), dtype=mat16)
-        g_identity_lines = wp.array(ptr=address, shape=(256,), dtype=vec16)
-        g_identity_floats = wp.array(ptr=address, shape=(4096,), dtype=float)
-        address += wp.uint64(256) * LINE
         turned = wp.array(ptr=address, shape=(16,), dtype=mat16)
         turned_floats = wp.array(ptr=address, shape=(4096,), dtype=float)
 
@@ -144,32 +142,31 @@ def _make(channels: int):
 
         # Run-time numbers (see composite_patches).
         patches = wp.min(tiles_x, 0) + 16
-        heads = wp.min(tiles_x, 0) + 4
+        shaping = 4 + (channels - 4) * identity_shapes
         for patch in range(patches):
-            quad = first_quad(tile_x, tile_y, patch, quads)
-            total = wp.cw_mul(load_patch(T_quads, quad, quads), load_patch(d_T_quads, quad, quads))
-            for c in range(heads):
-                d = load_patch(d_image_quads, quad + c * plane, quads)
-                total += wp.cw_mul(d, load_patch(image_quads, quad + c * plane, quads))
-                g_lines[patch * 4 + c] = d
+            for j in range(4):
+                quad = first_quad(tile_x, tile_y, patch, quads) + j * quads
+                total = wp.vec4() + wp.cw_mul(T_quads[quad], d_T_quads[quad])
+                c = int(0)
+                while c < channels:
+                    d_quad = d_image_quads[quad + c * plane]
+                    if c < shaping:
+                        total += wp.cw_mul(d_quad, image_quads[quad + c * plane])
+                    g_quads[(patch * channels + c) * 4 + j] = d_quad
+                    c += 1
+                behind_quads[patch * 4 + j] = total
             if wp.static(lines == 2):
-                for c in range(patches):
-                    d = load_patch(d_image_quads, quad + (4 + c) * plane, quads)
-                    if identity_shapes != 0:
-                        total += wp.cw_mul(d, load_patch(image_quads, quad + (4 + c) * plane, quads))
-                    g_identity_lines[patch * 16 + c] = d
                 for lane in range(patches):
                     for c in range(16):
-                        turned_floats[patch * 256 + lane * 16 + c] = g_identity_floats[
-                            patch * 256 + c * 16 + lane
+                        turned_floats[patch * 256 + lane * 16 + c] = g_floats[
+                            (patch * channels + 4 + c) * 16 + lane
                         ]
-            behind[patch] = total
             transmittances[patch] = vec16(1.0)
             pixels[patch] = patch_x(patch)
             pixels[16 + patch] = patch_y(patch)
             for lane in range(patches):
                 uv = _centred(patch, lane)
-                first = patch * 64 + lane
+                first = patch * wp.static(16 * channels) + lane
                 g_depth = g_floats[first + 48]
                 weight_rows[patch * 16 + lane] = vec8(
                     g_floats[first], g_floats[first + 16], g_floats[first + 32], g_depth,
@@ -229,20 +226,19 @@ def _make(channels: int):
                     i = int(0)
                     while i < count:
                         s = splats[int(lists[patch * CHUNK + i]) * lines]
-                        q = gp[0] * s[8]
-                        for c in range(1, 4):
+                        q = vec16()
+                        for c in range(3):
                             q += gp[c] * s[8 + c]
                         products[i] = q
                         i += 1
                     if wp.static(lines == 2):
                         if identity_shapes != 0:
-                            gi = g_identity[patch]
                             i = int(0)
                             while i < count:
                                 f = splats[int(lists[patch * CHUNK + i]) * 2 + 1]
                                 q = products[i]
                                 for c in range(16):
-                                    q += gi[c] * f[c]
+                                    q += gp[4 + c] * f[c]
                                 products[i] = q
                                 i += 1
                     rest = behind[patch]
@@ -254,9 +250,9 @@ def _make(channels: int):
                         s = splats[int(lists[patch * CHUNK + i]) * lines]
                         dx = pixel_x - vec16(s[4])
                         dy = pixel_y - vec16(s[5])
-                        power = wp.cw_mul(dx, dx * s[0] + dy * s[1]) + wp.cw_mul(dy, dy * s[2]) + vec16(s[14])
+                        power = log_alpha(s, dx, dy)
                         raw = exp(power)
-                        q = products[i] + wp.cw_mul(d_depth, dx * s[6] + dy * s[7])
+                        q = products[i] + wp.cw_mul(d_depth, depth_at(s, dx, dy))
                         w = vec16()
                         d = vec16()
                         for j in range(16):
@@ -278,10 +274,10 @@ def _make(channels: int):
                         while i < count:
                             k = int(lists[patch * CHUNK + i])
                             w = weights[i]
-                            total = identity_sums[k]
+                            features = identity_sums[k]
                             for p in range(16):
-                                total += gt[p] * w[p]
-                            identity_sums[k] = total
+                                features += gt[p] * w[p]
+                            identity_sums[k] = features
                             i += 1
                     gw = by_weight[patch]
                     i = int(0)

@@ -128,6 +128,21 @@ def on_tile(row: vec16, tile_x: int, tile_y: int) -> vec16:
 
 
 @wp.func
+def log_alpha(s: vec16, dx: vec16, dy: vec16) -> vec16:
+    """ln alpha before the clamp.
+
+    Here and below one term is added at a time: multiply-adds can form in one way only, so that kernels
+    with identities and without agree to the bit.
+    """
+    return vec16(s[14]) + wp.cw_mul(dy, dy * s[2]) + wp.cw_mul(dx, dx * s[0]) + wp.cw_mul(dx, dy * s[1])
+
+
+@wp.func
+def depth_at(s: vec16, dx: vec16, dy: vec16) -> vec16:
+    return vec16(s[11]) + dx * s[6] + dy * s[7]
+
+
+@wp.func
 def _span(centre: float, extent: float):
     """First and last-plus-one of the tile's four patches that [centre - extent, centre + extent] meets."""
     first = int(wp.clamp((centre - extent) * 0.25 + 0.2475, 0.0, 4.0))
