@@ -134,7 +134,7 @@ def _with_iterations(factor: float) -> Callable[[RunConfig], RunConfig]:
 _PRESETS: dict[str, Callable[[RunConfig], RunConfig]] = {
     "gg-slam": lambda config: config,
     "gs-icp": lambda config: dataclasses.replace(config, use_identity=False),
-    "fast": _with_iterations(1 / 3),
+    "fast": _with_iterations(1 / 5),
     "quality": _with_iterations(3.0),
 }
 
