@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ggwarp.kernels import covariance, depth, neighbours
+from ggwarp.kernels import covariance, depth, pixel_neighbours
 from ggwarp.kernels.streams import to_host
 from ggwarp.ops.registration import Cloud
 from ggwarp.types import Camera, Float32
@@ -28,7 +28,7 @@ class ObservationConfig:
     edge: float = 0.0
     """Readings are dropped where inverse depth bends by more than this share within a pixel; 0: none are."""
     neighbours: int = 10
-    """Neighbours that a point's ellipse is fitted to."""
+    """Neighbours that a point's ellipse is fitted to; 16 at most."""
     noise_floor: float = 0.001
     """Standard deviation of depth at no distance, metres."""
     noise_growth: float = 0.002
@@ -46,6 +46,7 @@ class Observation:
         quats: [n] wp.vec4, axes of each point's ellipse, w first; the last axis is the normal.
         scales: [n] wp.vec3, metres, standard deviations of the neighbourhood, falling.
         pixels: [n] wp.vec2i, (u, v).
+        stride: pixels between samples.
         spacing: median distance between neighbouring points, metres.
         spreads: [n] wp.vec3, metres, along and across the surface: the cloud's covariances.
     """
@@ -54,6 +55,7 @@ class Observation:
     quats: Any
     scales: Any
     pixels: Any
+    stride: int
     spacing: float
     spreads: Any
 
@@ -63,8 +65,14 @@ class Observation:
 
 
 def observe(image: Float32, camera: Camera, config: ObservationConfig, *, device: Any) -> Observation:
-    """Sample ``image`` [h, w] (metres, 0 = no reading) and fit an ellipse to each point."""
+    """Sample ``image`` [h, w] (metres, 0 = no reading) and fit an ellipse to each point.
+
+    Raises:
+        ValueError: an image that is not of the camera's size; a bad number of neighbours.
+    """
     h, w = image.shape
+    if (h, w) != (camera.height, camera.width):
+        raise ValueError(f"depth image: {w}x{h}, but its camera takes {camera.width}x{camera.height}")
     readings = int(np.count_nonzero(image > 0.0))
     stride = max(1, round((readings / config.points) ** 0.5))
     rows, columns = depth.sample_grid(h, w, stride)
@@ -88,25 +96,36 @@ def observe(image: Float32, camera: Camera, config: ObservationConfig, *, device
     n = int(to_host(flags[-1:])[0] + to_host(slots[-1:])[0])
     points, pixels = points[:n], pixels[:n]
     spacing = float(np.median(to_host(points)[:, 2])) * stride / camera.fx if n else 0.0
-    quats, scales = _ellipses(points, spacing, config, device)
+    quats, scales = fit_ellipses(points, pixels, camera, stride=stride, k=config.neighbours, device=device)
     spreads = _spreads(points, scales, config, device)
     covariances = _empty(n, wp.mat33, device)
     covariance.build_covariances(quats, spreads, covariances=covariances, device=device)
-    return Observation(Cloud(points, covariances), quats, scales, pixels, spacing, spreads)
+    return Observation(Cloud(points, covariances), quats, scales, pixels, stride, spacing, spreads)
 
 
-def _ellipses(points: Any, spacing: float, config: ObservationConfig, device: Any) -> tuple[Any, Any]:
+def fit_ellipses(
+    points: Any, pixels: Any, camera: Camera, *, stride: int, k: int, device: Any
+) -> tuple[Any, Any]:
+    """Return the quaternions [n] and scales [n] of ellipses fitted to each point's ``k`` nearest.
+
+    Args:
+        points, pixels, stride: as in :class:`Observation`.
+        k: neighbours, itself among them; 16 at most.
+    """
     n = points.shape[0]
     quats = _empty(n, wp.vec4, device)
     scales = _empty(n, wp.vec3, device)
     if n:
-        indices = _empty((n, config.neighbours), int, device)
-        distances2 = _empty((n, config.neighbours), float, device)
-        grid = neighbours.allocate_hash_grid(n, device=device)
-        # Four spacings a cell: the ten nearest points of a surface then lie within the first ring.
-        neighbours.build_hash_grid(grid, points, cell_size=4.0 * spacing, device=device)
-        neighbours.find_k_nearest(
-            grid, points, k=config.neighbours, indices=indices, distances2=distances2, device=device
+        indices = _empty((n, k), int, device)
+        pixel_neighbours.find_k_nearest_pixels(
+            points,
+            pixels,
+            (camera.fx, camera.fy, camera.cx, camera.cy),
+            stride=stride,
+            k=k,
+            places=_empty(depth.sample_grid(camera.height, camera.width, stride), int, device),
+            indices=indices,
+            device=device,
         )
         covariance.estimate_covariances(points, points, indices, quats=quats, scales=scales, device=device)
     return quats, scales

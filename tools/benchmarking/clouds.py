@@ -15,7 +15,7 @@ from ggwarp.datasets import Dataset, DatasetError, SyntheticOffice, open_dataset
 from ggwarp.kernels import covariance, neighbours
 from ggwarp.ops.registration import Cloud, Registration, Stage, Target, register
 from ggwarp.pipeline.keyframes import KeyframeConfig, KeyframeKind, OverlapKeyframes
-from ggwarp.pipeline.observation import Observation, observe
+from ggwarp.pipeline.observation import Observation, fit_ellipses, observe
 from ggwarp.pipeline.trackable import TrackableConfig, TrackableMap
 from ggwarp.pipeline.tracker import GicpTracker, TrackerConfig
 from ggwarp.types import Camera, Float64, Frame, MapSnapshot
@@ -128,19 +128,17 @@ class Ours:
 
     def fit_ellipses(self) -> Any:
         """Return the covariance of each of the frame's points, from its 10 nearest."""
-        points, n, device = self._at.seen.cloud.points, self._at.seen.count, self._device
-
-        def empty(shape: Any, dtype: Any) -> Any:
-            return wp.empty(shape, dtype=dtype, device=device)
-
-        grid = neighbours.allocate_hash_grid(n, device=device)
-        neighbours.build_hash_grid(grid, points, cell_size=4.0 * self._at.seen.spacing, device=device)
-        indices, distances2 = empty((n, NEIGHBOURS), int), empty((n, NEIGHBOURS), float)
-        neighbours.find_k_nearest(
-            grid, points, k=NEIGHBOURS, indices=indices, distances2=distances2, device=device
+        seen, device = self._at.seen, self._device
+        quats, scales = fit_ellipses(
+            seen.cloud.points,
+            seen.pixels,
+            self._at.camera,
+            stride=seen.stride,
+            k=NEIGHBOURS,
+            device=device,
         )
-        quats, scales, out = empty(n, wp.vec4), empty(n, wp.vec3), empty(n, wp.mat33)
-        covariance.estimate_covariances(points, points, indices, quats=quats, scales=scales, device=device)
+        mat33: Any = wp.mat33
+        out = wp.empty(seen.count, dtype=mat33, device=device)
         covariance.build_covariances(quats, scales, covariances=out, device=device)
         return out
 

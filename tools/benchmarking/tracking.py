@@ -33,7 +33,8 @@ _SIZES, _QUICK_SIZES = (1, 2, 5, 10), (1, 10)
 _FLAT = 0.2  # how far a frame's time may move while the map grows tenfold
 _BUDGET_S = 40.0
 _BESIDE_NOTE = (
-    "ellipses: a grid or tree, and covariances from 10 neighbours; registration: from the previous pose, "
+    "ellipses: covariances from the 10 nearest points, found round each one's pixel by us, in a tree by "
+    "small_gicp; registration: from the previous pose, "
     f"matches within {RADIUS} m, to steps below 1e-5; frame: both. Tracker: our whole frame, depth image to "
     "pose with overlap, coarse to fine."
 )
