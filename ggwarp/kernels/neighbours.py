@@ -134,16 +134,30 @@ def build_hash_grid(grid: Any, points: Any, *, cell_size: float, device: Any) ->
 
 
 @wp.func
+def _gap2(q: float, cell: int, cell_size: float) -> float:
+    """Squared distance from ``q`` to a cell along one axis, a little under the true one."""
+    low = float(cell) * cell_size
+    gap = wp.max(low - q, q - (low + cell_size))
+    # A point's cell is computed in floats: allow for the rounding of large coordinates.
+    gap = wp.max(gap - 4.0e-7 * wp.abs(q) - 1.0e-6 * cell_size, 0.0)
+    return gap * gap
+
+
+@wp.func
 def _box_distance2(q: wp.vec3, cell: wp.vec3i, cell_size: float) -> float:
     """Squared distance from ``q`` to a cell's box, a little under the true one."""
-    d2 = float(0.0)
-    for a in range(3):
-        low = float(cell[a]) * cell_size
-        gap = wp.max(low - q[a], q[a] - (low + cell_size))
-        # A point's cell is computed in floats: allow for the rounding of large coordinates.
-        gap = wp.max(gap - 4.0e-7 * wp.abs(q[a]) - 1.0e-6 * cell_size, 0.0)
-        d2 += gap * gap
-    return d2
+    return _gap2(q[0], cell[0], cell_size) + _gap2(q[1], cell[1], cell_size) + _gap2(q[2], cell[2], cell_size)
+
+
+@wp.func
+def _nearer_side(q: float, cell: int, cell_size: float) -> int:
+    return wp.where(q - float(cell) * cell_size < 0.5 * cell_size, -1, 1)
+
+
+@wp.func
+def _next(step: int, side: int) -> int:
+    """The step after ``step`` in 0, s, -s, 2s, -2s ... with s the nearer ``side``."""
+    return wp.where(step * side > 0, -step, side - step)
 
 
 @wp.func
@@ -154,31 +168,44 @@ def nearest_in_grid(grid: HashGrid, q: wp.vec3, radius: float):
     """
     best = int(-1)
     best_d2 = radius * radius
-    home = cell_of(q, grid.cell_size)
-    rings = int(wp.ceil(radius / grid.cell_size))
+    size = grid.cell_size
+    home = cell_of(q, size)
+    # From the near side to the far one: most cells are then farther than what is found.
+    side_x = _nearer_side(q[0], home[0], size)
+    side_y = _nearer_side(q[1], home[1], size)
+    side_z = _nearer_side(q[2], home[2], size)
+    rings = int(wp.ceil(radius / size))
     for ring in range(rings + 1):
-        # Everything in this ring is at least ring - 1 whole cells away.
-        reach = wp.max(float(ring - 1), 0.0) * grid.cell_size
+        reach = wp.max(float(ring - 1), 0.0) * size  # this ring is at least so far away
         if reach * reach > best_d2:
             break
-        for dz in range(-ring, ring + 1):
-            for dy in range(-ring, ring + 1):
-                step = int(1)
-                if wp.abs(dz) < ring and wp.abs(dy) < ring:
-                    step = 2 * ring
-                for dx in range(-ring, ring + 1, step):
-                    cell = home + wp.vec3i(dx, dy, dz)
-                    if _box_distance2(q, cell, grid.cell_size) <= best_d2:
-                        key = hash_cell(cell, grid.table_size)
-                        for j in range(grid.starts[key], grid.ends[key]):
-                            if grid.cells[j] == cell:
-                                d2 = wp.length_sq(grid.points[j] - q)
-                                nearer = d2 < best_d2 or (best < 0 and d2 == best_d2)
-                                if d2 == best_d2 and best >= 0:
-                                    nearer = grid.indices[j] < grid.indices[best]
-                                if nearer:
-                                    best = j
-                                    best_d2 = d2
+        dz = int(0)
+        for _z in range(2 * ring + 1):
+            z2 = _gap2(q[2], home[2] + dz, size)
+            if z2 <= best_d2:
+                dy = int(0)
+                for _y in range(2 * ring + 1):
+                    yz2 = z2 + _gap2(q[1], home[1] + dy, size)
+                    if yz2 <= best_d2:
+                        # Inside the shell only its two walls are new.
+                        shell = wp.abs(dz) == ring or wp.abs(dy) == ring
+                        dx = wp.where(shell, 0, ring * side_x)
+                        for _x in range(wp.where(shell, 2 * ring + 1, 2)):
+                            if yz2 + _gap2(q[0], home[0] + dx, size) <= best_d2:
+                                cell = home + wp.vec3i(dx, dy, dz)
+                                key = hash_cell(cell, grid.table_size)
+                                for j in range(grid.starts[key], grid.ends[key]):
+                                    if grid.cells[j] == cell:
+                                        d2 = wp.length_sq(grid.points[j] - q)
+                                        nearer = d2 < best_d2 or (best < 0 and d2 == best_d2)
+                                        if d2 == best_d2 and best >= 0:
+                                            nearer = grid.indices[j] < grid.indices[best]
+                                        if nearer:
+                                            best = j
+                                            best_d2 = d2
+                            dx = wp.where(shell, _next(dx, side_x), -dx)
+                    dy = _next(dy, side_y)
+            dz = _next(dz, side_z)
     return best, best_d2
 
 
