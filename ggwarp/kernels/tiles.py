@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which splats fall on which tile, front to back.
 
-Visible Gaussians are sorted by depth: rank r is the r-th nearest. Each (rank, tile) pair has a
-*slot*; the slots of a rank are contiguous, so that gradients written per slot are summed per
-Gaussian without atomics. Slots sorted stably by tile give each tile its splats in depth order.
+Each pair of a visible Gaussian and a tile has a *slot*; the slots of a Gaussian are contiguous, so that
+gradients written per slot are summed per Gaussian without atomics. Visible Gaussians are sorted by depth,
+their pairs then stably by tile: each tile gets its splats in depth order.
 
-On the CPU counts are read (memory is shared) and the second sort is a serial counting sort; on CUDA, and
-while a graph is recorded, nothing is read back: slots up to the capacity are sorted, unused ones carry a
-sentinel tile.
+On the CPU slots are numbered in the Gaussians' order, as neighbours in the map are neighbours in the image
+and so in memory; counts are read (memory is shared) and the second sort is a serial counting sort. On
+CUDA, and while a graph is recorded, slots are numbered by depth, so that a lack of them leaves out the
+farthest, and nothing is read back: slots up to the capacity are sorted, unused ones carry a sentinel tile.
 """
 
 from __future__ import annotations
@@ -41,9 +42,9 @@ class TileArrays:
     Attributes:
         visible: [n] int: the visible Gaussians, ascending, in the first ``counts[0]`` entries. Work that
             does not depend on depth goes in this order: it is several times kinder to caches.
-        order: [2n] int: rank -> Gaussian for the first ``counts[0]`` entries; the rest is scratch.
-        ranks: [n] int: Gaussian -> rank, -1 where it is not visible.
-        slot_offsets: [n + 1] int: slots of rank r are slot_offsets[r] .. slot_offsets[r + 1].
+        order: [2n] int: the visible Gaussians, front to back; the rest is scratch.
+        ranks: [n] int: Gaussian -> its row r in ``slot_offsets``, -1 where it is not visible.
+        slot_offsets: [n + 1] int: its slots are slot_offsets[r] .. slot_offsets[r + 1].
         slot_gaussians: [P] int: slot -> Gaussian.
         pair_slots: [2P] int: slots sorted by tile, then depth; the second half is scratch.
         tile_ranges: [t] vec2i: begin and end of each tile (row by row) in ``pair_slots``.
@@ -76,80 +77,80 @@ def tiles_across(pixels: int) -> int:
 
 
 @wp.kernel
-def _gather_visible(
+def _number_slots(
     tile_rects: wp.array[wp.vec4i],
     depths: wp.array[float],
     count: int,
+    tiles_x: int,
     depth_keys: wp.array[float],
     visible: wp.array[int],
     order: wp.array[int],
     ranks: wp.array[int],
-    counts: wp.array[int],
-):
-    """Serial, CPU only."""
-    found = int(0)
-    for i in range(count):
-        rect = tile_rects[i]
-        ranks[i] = -1
-        if rect[2] > rect[0]:
-            depth_keys[found] = depths[i]
-            visible[found] = i
-            order[found] = i
-            found += 1
-    counts[VISIBLE] = found
-
-
-@wp.kernel
-def _bin_serial(
-    tile_rects: wp.array[wp.vec4i],
-    order: wp.array[int],
-    tiles_x: int,
-    capacity: int,
-    ranks: wp.array[int],
     slot_offsets: wp.array[int],
     slot_gaussians: wp.array[int],
-    pair_slots: wp.array[int],
     tile_ranges: wp.array[wp.vec2i],
     counts: wp.array[int],
 ):
-    """A counting sort by tile: serial, CPU only."""
+    """List the visible, give their pairs slots, and size the tiles: serial, CPU only."""
     for t in range(tile_ranges.shape[0]):
         tile_ranges[t] = wp.vec2i(0, 0)
-    pairs = wp.int64(0)
-    for rank in range(counts[VISIBLE]):
-        gaussian = order[rank]
-        ranks[gaussian] = rank
-        slot_offsets[rank] = int(pairs)
-        pairs += wp.int64(tiles_of(tile_rects[gaussian]))
-    slot_offsets[counts[VISIBLE]] = int(pairs)
-    counts[PAIRS] = int(wp.min(pairs, wp.int64(2147483647)))
-    counts[OVERFLOW] = 0
-    if pairs > wp.int64(capacity):
-        counts[OVERFLOW] = 1
-        return
-    for rank in range(counts[VISIBLE]):
-        rect = tile_rects[order[rank]]
-        for y in range(rect[1], rect[3]):
-            for x in range(rect[0], rect[2]):
-                t = y * tiles_x + x
-                tile_ranges[t] = tile_ranges[t] + wp.vec2i(0, 1)
+    capacity = slot_gaussians.shape[0]
+    found = int(0)
+    slot = int(0)
+    for i in range(count):
+        rect = tile_rects[i]
+        rank = int(-1)
+        if rect[2] > rect[0]:
+            rank = found
+            depth_keys[found] = depths[i]
+            visible[found] = i
+            order[found] = i
+            slot_offsets[found] = slot
+            found += 1
+            # A clamp, as a huge splat's pairs may not be countable.
+            if slot <= 2147483647 - tiles_of(rect):
+                for y in range(rect[1], rect[3]):
+                    for x in range(rect[0], rect[2]):
+                        if slot < capacity:
+                            slot_gaussians[slot] = i
+                        slot += 1
+                        t = y * tiles_x + x
+                        tile_ranges[t] = tile_ranges[t] + wp.vec2i(0, 1)
+        ranks[i] = rank
+    slot_offsets[found] = slot
+    counts[VISIBLE] = found
+    counts[PAIRS] = slot
+    counts[OVERFLOW] = wp.where(slot > capacity, 1, 0)
+
+
+@wp.kernel
+def _scatter_pairs(
+    tile_rects: wp.array[wp.vec4i],
+    order: wp.array[int],
+    ranks: wp.array[int],
+    slot_offsets: wp.array[int],
+    counts: wp.array[int],
+    tiles_x: int,
+    pair_slots: wp.array[int],
+    tile_ranges: wp.array[wp.vec2i],
+):
+    """A counting sort by tile: serial, CPU only."""
     begin = int(0)
     for t in range(tile_ranges.shape[0]):
         size = tile_ranges[t][1]
         # The end is the cursor of the scatter below.
         tile_ranges[t] = wp.vec2i(begin, begin)
         begin += size
-    slot = int(0)
-    for rank in range(counts[VISIBLE]):
-        gaussian = order[rank]
+    for place in range(counts[VISIBLE]):
+        gaussian = order[place]
         rect = tile_rects[gaussian]
+        slot = slot_offsets[ranks[gaussian]]
         for y in range(rect[1], rect[3]):
             for x in range(rect[0], rect[2]):
                 t = y * tiles_x + x
                 span = tile_ranges[t]
                 pair_slots[span[1]] = slot
                 tile_ranges[t] = wp.vec2i(span[0], span[1] + 1)
-                slot_gaussians[slot] = gaussian
                 slot += 1
 
 
@@ -172,9 +173,8 @@ def bin_splats(
         out: allocated for this image size and at least ``count`` Gaussians.
 
     Raises:
-        TileCapacityError: on the CPU, when there are too few slots; ``order`` and the number visible
-            are right then. On CUDA and in a recording ``counts[2]`` is set instead and the farthest splats
-            are left out.
+        TileCapacityError: on the CPU, when there are too few slots. On CUDA and in a recording
+            ``counts[2]`` is set instead and the farthest splats are left out.
         ValueError: ``out`` is too small for ``count`` or made for another image size.
     """
     tiles_x, tiles_y = tiles_across(width), tiles_across(height)
@@ -193,27 +193,23 @@ def bin_splats(
 
 def _bin_on_cpu(tile_rects: wp.array, depths: wp.array, count: int, tiles_x: int, out: TileArrays) -> None:
     wp.launch(
-        _gather_visible,
+        _number_slots,
         dim=1,
-        inputs=[tile_rects, depths, count],
-        outputs=[out.depth_keys, out.visible, out.order, out.ranks, out.counts],
-        device="cpu",
-    )
-    counts = out.counts.numpy()
-    wp.utils.radix_sort_pairs(out.depth_keys, out.order, int(counts[0]))
-    wp.launch(
-        _bin_serial,
-        dim=1,
-        inputs=[tile_rects, out.order, tiles_x, out.capacity],
+        inputs=[tile_rects, depths, count, tiles_x],
         outputs=[
-            out.ranks,
-            out.slot_offsets,
-            out.slot_gaussians,
-            out.pair_slots,
-            out.tile_ranges,
-            out.counts,
+            *(out.depth_keys, out.visible, out.order, out.ranks, out.slot_offsets),
+            *(out.slot_gaussians, out.tile_ranges, out.counts),
         ],
         device="cpu",
     )
-    if counts[2]:
-        raise TileCapacityError(int(counts[1]), out.capacity)
+    visible, pairs, overflow = out.counts.numpy()[:3].tolist()
+    if overflow:
+        raise TileCapacityError(pairs, out.capacity)
+    wp.utils.radix_sort_pairs(out.depth_keys, out.order, visible)
+    wp.launch(
+        _scatter_pairs,
+        dim=1,
+        inputs=[tile_rects, out.order, out.ranks, out.slot_offsets, out.counts, tiles_x],
+        outputs=[out.pair_slots, out.tile_ranges],
+        device="cpu",
+    )

@@ -83,7 +83,7 @@ class Renderer:
 
     @property
     def ranks(self) -> Any:
-        """[rows] int: rank of each Gaussian by depth, -1 where the last view does not show it."""
+        """[rows] int: :attr:`TileArrays.ranks`, -1 for Gaussians that the last view does not show."""
         return self.tiles.ranks[: self.rows]
 
     def forward(self, T_cw: wp.array) -> None:

@@ -32,29 +32,38 @@ def run_binning(rects, depths, width, height, slots, device, *, parallel=False):
     return out
 
 
-def brute_force(rects, depths, tiles_x, tile_count):
+def brute_force(rects, depths, tiles_x, tile_count, *, by_depth):
+    """Gaussians by depth and by rank, the Gaussian of each slot, the slots of each tile."""
     order = [i for i in np.argsort(depths, kind="stable") if rects[i, 2] > rects[i, 0]]
+    numbered = order if by_depth else sorted(order)
+    slots, first = [], {}
+    for i in numbered:
+        first[i] = len(slots)
+        x0, y0, x1, y1 = rects[i]
+        slots += [i] * ((x1 - x0) * (y1 - y0))
     tiles = [[] for _ in range(tile_count)]
-    slots = []
     for i in order:
         x0, y0, x1, y1 = rects[i]
-        for y in range(y0, y1):
-            for x in range(x0, x1):
-                tiles[y * tiles_x + x].append(len(slots))
-                slots.append(i)
-    return order, slots, tiles
+        for place, (y, x) in enumerate((y, x) for y in range(y0, y1) for x in range(x0, x1)):
+            tiles[y * tiles_x + x].append(first[i] + place)
+    return order, numbered, slots, tiles
 
 
-def assert_binned(out, rects, depths, width, height):
-    order, slots, tiles = brute_force(rects, depths, tiles_across(width), out.tile_ranges.shape[0])
+def assert_binned(out, rects, depths, width, height, *, by_depth=None):
+    """``by_depth``: how slots are numbered; on CUDA they are, on the CPU they are not."""
+    if by_depth is None:
+        by_depth = not out.order.device.is_cpu
+    order, numbered, slots, tiles = brute_force(
+        rects, depths, tiles_across(width), out.tile_ranges.shape[0], by_depth=by_depth
+    )
     assert out.counts.numpy().tolist()[:3] == [len(order), len(slots), 0]
     assert out.order.numpy()[: len(order)].tolist() == order
     assert out.slot_gaussians.numpy()[: len(slots)].tolist() == slots
     assert out.visible.numpy()[: len(order)].tolist() == sorted(order)
-    ranks = {gaussian: rank for rank, gaussian in enumerate(order)}
+    ranks = {gaussian: rank for rank, gaussian in enumerate(numbered)}
     assert out.ranks.numpy()[: len(rects)].tolist() == [ranks.get(i, -1) for i in range(len(rects))]
     offsets = out.slot_offsets.numpy()
-    sizes = [(rects[i, 2] - rects[i, 0]) * (rects[i, 3] - rects[i, 1]) for i in order]
+    sizes = [(rects[i, 2] - rects[i, 0]) * (rects[i, 3] - rects[i, 1]) for i in numbered]
     assert offsets[: len(order) + 1].tolist() == np.concatenate([[0], np.cumsum(sizes)]).astype(int).tolist()
     pair_slots = out.pair_slots.numpy()
     for (begin, end), expected in zip(out.tile_ranges.numpy(), tiles, strict=True):
@@ -75,7 +84,7 @@ def test_tiles_list_their_splats_front_to_back(parallel, n, width, height, seed,
         np.random.default_rng(seed), n, tiles_across(width), tiles_across(height), visible
     )
     out = run_binning(rects, depths, width, height, 9 * n, "cpu", parallel=parallel)
-    assert_binned(out, rects, depths, width, height)
+    assert_binned(out, rects, depths, width, height, by_depth=parallel)
 
 
 def test_many_splats(device, rng):
@@ -104,7 +113,7 @@ def test_cpu_names_the_slots_it_needs(rng):
 
 def test_cuda_way_keeps_the_nearest_on_overflow(device, rng):
     rects, depths = make_rects(rng, 50, 4, 3)
-    _, slots, tiles = brute_force(rects, depths, 4, 12)
+    _, _, slots, tiles = brute_force(rects, depths, 4, 12, by_depth=True)
     room = len(slots) // 2
     out = run_binning(rects, depths, 64, 48, room, device, parallel=True)
     assert out.counts.numpy().tolist()[1:] == [len(slots), 1, len(slots)]
