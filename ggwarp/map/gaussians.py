@@ -47,6 +47,7 @@ class GaussianBatch:
         opacity_logits: [n] float32.
         colours: [n, 3] float32, degree-0 spherical harmonics.
         identities: [n, 16] float32; None where the map has no identities.
+        votes: [n] int32, labels seen so far (:mod:`ggwarp.kernels.fusion`); None: none.
     """
 
     means: NDArray[np.float32]
@@ -55,6 +56,7 @@ class GaussianBatch:
     opacity_logits: NDArray[np.float32]
     colours: NDArray[np.float32]
     identities: NDArray[np.float32] | None = None
+    votes: NDArray[np.int32] | None = None
 
     def __len__(self) -> int:
         return len(self.means)
@@ -69,7 +71,7 @@ class GaussianMap:
         has_identity: whether ``identities`` is there.
         version: grows whenever rows are added or removed.
         allocation: grows whenever ``fields`` become other arrays.
-        fields: name -> array of ``capacity`` rows: the parameters and the optimiser's state.
+        fields: name -> array of ``capacity`` rows: the parameters, the optimiser's state and ``votes``.
     """
 
     def __init__(self, *, device: Any, has_identity: bool, capacity: int = 1 << 15) -> None:
@@ -82,7 +84,7 @@ class GaussianMap:
         types = {n: PARAMETERS[n] for n in names}
         types |= {"first": vec16, "second": vec16, "steps": wp.int32}
         if has_identity:
-            types |= {"first_identity": vec16, "second_identity": vec16}
+            types |= {"first_identity": vec16, "second_identity": vec16, "votes": wp.int32}
         self.fields = {n: wp.zeros(capacity, dtype=t, device=self.device) for n, t in types.items()}
 
     @property
@@ -111,10 +113,10 @@ class GaussianMap:
             self._reallocate(max(end, int(self.capacity * _GROWTH)))
         for name, array in self.fields.items():
             rows: Any = array[begin:end]
-            if name in PARAMETERS:
-                values = getattr(batch, name)
-                if values is None:
-                    raise ValueError("the map has identities, but the batch has none")
+            values = getattr(batch, name, None)
+            if values is None and name in PARAMETERS:
+                raise ValueError("the map has identities, but the batch has none")
+            if values is not None:
                 # wp.array keeps no reference to a temporary: copy synchronises on the host side.
                 wp.copy(rows, wp.array(values, dtype=array.dtype, device=self.device))
             else:

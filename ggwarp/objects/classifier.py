@@ -178,8 +178,8 @@ class Classifier:
             device=self._device,
         )
 
-    def classify_image(self, image: wp.array, height: int, width: int) -> NDArray[np.int32]:
-        """Return [height, width] the likeliest class of each pixel of a render [20, Hp, Wp]."""
+    def classify_image(self, image: wp.array, height: int, width: int) -> tuple[NDArray[np.int32], Float32]:
+        """Return the likeliest class of each pixel of a render [20, Hp, Wp], and its probability."""
         labels = wp.empty((height, width), dtype=int, device=self._device)
         probabilities = wp.empty((height, width), dtype=float, device=self._device)
         classify_pixels(
@@ -191,7 +191,7 @@ class Classifier:
             probabilities=probabilities,
             device=self._device,
         )
-        return np.asarray(to_host(labels), np.int32)
+        return np.asarray(to_host(labels), np.int32), np.asarray(to_host(probabilities), np.float32)
 
     def classify_map(self) -> tuple[NDArray[np.int32], Float32]:
         """Return [n] the likeliest class of each Gaussian and [n] its probability."""

@@ -50,6 +50,12 @@ class ClassTable:
         known = (classes >= 0) & (classes < self.count)
         return np.where(known, self._ids[np.where(known, classes, 0)], NO_OBJECT).astype(np.int32)
 
+    def find(self, ids: NDArray[np.int32]) -> NDArray[np.int32]:
+        """Return the class of each of ``ids`` (any shape); unknown ones become :data:`IGNORED`."""
+        order = np.argsort(self._ids, kind="stable")
+        at = np.minimum(np.searchsorted(self._ids[order], ids), self.count - 1)
+        return np.where(self._ids[order][at] == ids, order[at], IGNORED).astype(np.int32)
+
     def _class_of(self, raw: int) -> int:
         if raw not in self._lookup:
             self._lookup[raw] = len(self._ids)

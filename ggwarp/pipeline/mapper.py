@@ -19,6 +19,7 @@ from ggwarp.objects.inventory import ObjectRecord, inventory
 from ggwarp.objects.linear import LinearClassifier
 from ggwarp.objects.registry import NO_OBJECT, ClassTable
 from ggwarp.objects.sightings import Sightings
+from ggwarp.objects.supervision import ObjectSupervision, SupervisionConfig
 from ggwarp.pipeline.drawing import Drawing, RandomDrawing, WindowDrawing
 from ggwarp.pipeline.fitting import FitConfig, Fitter
 from ggwarp.pipeline.seeding import SeedingConfig, seed_density, seed_gaussians
@@ -34,6 +35,7 @@ class MapperConfig(FitConfig):
     iterations: int = 10
     """Mapping iterations a frame (synchronous mode)."""
     seeding: SeedingConfig = field(default_factory=SeedingConfig)
+    supervision: SupervisionConfig = field(default_factory=SupervisionConfig)
     object_probability: float = 0.3
     """A Gaussian belongs to its likeliest object when that is likelier than this (Gaussian Grouping)."""
     seed: int = 0
@@ -80,6 +82,11 @@ class Mapper:
         self.classes = ClassTable()
         self.classifier = Classifier(config.classifier, self.map, seed=config.seed) if use_identity else None
         self.sightings = Sightings()
+        self._supervision = (
+            ObjectSupervision(config.supervision, camera, self.map, self.classes, self.classifier)
+            if self.classifier is not None
+            else None
+        )
         self._renderer = Renderer(self.map, camera)
         self.covisibility = None if window is None else Covisibility(self.map, camera)
         self._fitter = Fitter(
@@ -98,12 +105,12 @@ class Mapper:
     def insert(self, frame: Frame, T_wc: Float64) -> None:
         """Make ``frame`` a keyframe and add the Gaussians that it shows and the map lacks."""
         assert frame.depth is not None
-        classes = None
-        if self.classifier is not None and frame.mask is not None:
-            classes = self.classes.encode(frame.mask)
-            self.classifier.grow(self.classes.count)
-            self.sightings.add(frame.index, frame.mask)
         rendered = self.render(T_wc) if self.map.count else None
+        lesson = None
+        if self._supervision is not None:
+            lesson = self._supervision.teach(frame, self._renderer.pose_array(T_wc), rendered)
+        if lesson is not None:
+            self.sightings.add(frame.index, self.classes.decode(lesson.labels))
         density = seed_density(frame, rendered, self._config.seeding)
         batch = seed_gaussians(
             frame,
@@ -112,11 +119,12 @@ class Mapper:
             density,
             self._config.seeding,
             codes=None if self.classifier is None else self.classifier.codes,
-            classes=classes,
+            lesson=lesson,
             rng=self._identity_rng,
         )
         self.map.append(batch)
-        self._fitter.add(upload(frame, T_wc, classes, device=self._device))
+        targets = None if lesson is None or frame.mask is None else lesson.targets
+        self._fitter.add(upload(frame, T_wc, targets, device=self._device))
 
     def iterate(self) -> None:
         """Fit the map to one keyframe once; on CUDA, queue it: the host reads nothing."""
@@ -149,11 +157,12 @@ class Mapper:
         if r.make_room():
             r.forward(pose)
         image = r.plane(r.image)
-        identity = objects = None
+        identity = objects = confidence = None
         opacity = np.float32(1.0) - r.plane(r.transmittance)
         if self.classifier is not None:
             identity = np.ascontiguousarray(image[4:].transpose(1, 2, 0))
-            classes = self.classifier.classify_image(r.image, self._camera.height, self._camera.width)
+            size = self._camera.height, self._camera.width
+            classes, confidence = self.classifier.classify_image(r.image, *size)
             objects = np.where(opacity > 0.5, self.classes.decode(classes), 0).astype(np.int32)
         return Rendered(
             rgb=np.ascontiguousarray(np.clip(image[:3], 0.0, 1.0).transpose(1, 2, 0)),
@@ -162,6 +171,7 @@ class Mapper:
             opacity=opacity,
             identity=identity,
             objects=objects,
+            confidence=confidence,
         )
 
     def export(self) -> PlyGaussians:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ggwarp.map.gaussians import SH_C0, GaussianBatch
 from ggwarp.objects.classifier import random_identities
+from ggwarp.objects.supervision import Lesson
 from ggwarp.types import Camera, Float32, Float64, Frame, Rendered
 
 
@@ -109,7 +110,7 @@ def seed_gaussians(
     config: SeedingConfig,
     *,
     codes: Float32 | None,
-    classes: NDArray[np.int32] | None,
+    lesson: Lesson | None,
     rng: np.random.Generator,
 ) -> GaussianBatch:
     """Return the Gaussians that ``frame`` adds at ``density`` (GG-SLAM 2.3, c).
@@ -119,7 +120,7 @@ def seed_gaussians(
         T_wc: [4, 4] its pose.
         density: [h, w] Gaussians a pixel.
         codes: [classes, 16] the identity each class starts from; None without identities.
-        classes: [h, w] class of each pixel (negative: unknown); None without a mask.
+        lesson: what the frame says of objects; None: nothing.
         rng: draws the identities.
     """
     assert frame.depth is not None
@@ -145,7 +146,8 @@ def seed_gaussians(
         colours=((frame.rgb[rows, cols] / 255.0 - 0.5) / SH_C0).astype(np.float32),
         identities=None
         if codes is None
-        else _identities(codes, None if classes is None else classes[rows, cols], count, config, rng),
+        else _identities(codes, None if lesson is None else lesson.seeds[rows, cols], count, config, rng),
+        votes=None if lesson is None else (lesson.labels[rows, cols] >= 0).astype(np.int32),
     )
 
 

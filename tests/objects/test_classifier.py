@@ -42,11 +42,12 @@ def test_gaussians_with_their_class_s_code_are_classified_at_once(
 
     labels, probabilities = classifier.classify_map()
     renderer.forward(renderer.pose_array(np.eye(4)))
-    picture = classifier.classify_image(renderer.image, CAMERA.height, CAMERA.width)
+    picture, probability = classifier.classify_image(renderer.image, CAMERA.height, CAMERA.width)
 
     side = gaussians.to_host()["means"][:, 0] > 0
     assert (labels == np.where(side, 31, 7)).all() and (probabilities > 0.9).all()
     assert (picture[:, 2:22] == 7).all() and (picture[:, 26:-2] == 31).all()
+    assert (probability[:, 2:22] > 0.9).all() and probability.max() <= 1.0
 
 
 def test_training_teaches_random_identities(device: str, rng: np.random.Generator) -> None:
@@ -69,7 +70,7 @@ def test_training_teaches_random_identities(device: str, rng: np.random.Generato
         classifier.step()
         history.append(losses.numpy()[OBJECT])
     assert history[-1] < 0.1 * history[0]
-    picture = classifier.classify_image(renderer.image, CAMERA.height, CAMERA.width)
+    picture, _ = classifier.classify_image(renderer.image, CAMERA.height, CAMERA.width)
     assert (picture[:, 2:22] == 1).all() and (picture[:, 26:-2] == 2).all()
     assert np.isfinite(losses.numpy()[OBJECT_3D])
 

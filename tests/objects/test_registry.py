@@ -29,6 +29,13 @@ def test_negative_ids_are_ignored() -> None:
     assert table.decode(np.array([IGNORED, 99])).tolist() == [0, 0]
 
 
+def test_classes_are_found_by_id_without_adding_any() -> None:
+    table = ClassTable()
+    table.encode(np.array([[9, 4]], np.int32))  # classes 1 and 2 are in the order of the mask's ids
+    assert table.find(np.array([[9, 0, 4, 5, -3]], np.int32)).tolist() == [[2, 0, 1, IGNORED, IGNORED]]
+    assert table.count == 3
+
+
 @given(st.lists(st.lists(st.integers(0, 100_000), min_size=1, max_size=30), max_size=5))
 def test_no_id_is_lost_or_merged(masks: list[list[int]]) -> None:
     table = ClassTable()

@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 
 from ggwarp import lie
+from ggwarp.objects.supervision import Lesson
 from ggwarp.pipeline.seeding import (
     SeedingConfig,
     choose_pixels,
@@ -67,7 +68,7 @@ def test_gaussians_lie_on_the_surface_and_flat_on_it(rng: np.random.Generator) -
     seen = frame(depth)
     density = seed_density(seen, None, CONFIG)
 
-    batch = seed_gaussians(seen, T_wc, CAMERA, density, CONFIG, codes=None, classes=None, rng=rng)
+    batch = seed_gaussians(seen, T_wc, CAMERA, density, CONFIG, codes=None, lesson=None, rng=rng)
 
     local = (batch.means - T_wc[:3, 3]) @ T_wc[:3, :3]
     np.testing.assert_allclose(local @ normal, -2.0, atol=1e-4)
@@ -99,7 +100,7 @@ def test_gaussians_are_added_where_the_map_is_wrong(rendered: Rendered) -> None:
 def test_no_depth_no_gaussian(rng: np.random.Generator) -> None:
     nothing = frame(np.zeros((48, 64), np.float32))
     density = seed_density(nothing, None, CONFIG)
-    batch = seed_gaussians(nothing, np.eye(4), CAMERA, density, CONFIG, codes=None, classes=None, rng=rng)
+    batch = seed_gaussians(nothing, np.eye(4), CAMERA, density, CONFIG, codes=None, lesson=None, rng=rng)
     assert len(batch) == 0
 
 
@@ -119,12 +120,22 @@ def test_identities_start_from_their_object_s_code(rng: np.random.Generator) -> 
     codes = rng.normal(size=(2, 16)).astype(np.float32)
     seen = frame(depth)
     density = seed_density(seen, None, CONFIG)
-    batch = seed_gaussians(seen, np.eye(4), CAMERA, density, CONFIG, codes=codes, classes=classes, rng=rng)
+    batch = seed_gaussians(
+        seen,
+        np.eye(4),
+        CAMERA,
+        density,
+        CONFIG,
+        codes=codes,
+        lesson=Lesson(classes, classes, classes),
+        rng=rng,
+    )
     rows, cols = choose_pixels(density, seen.index)
     assert batch.identities is not None
     nearest = ((batch.identities[:, None] - codes) ** 2).sum(axis=2).argmin(axis=1)
     known = rows >= 10
     assert (nearest[known] == (cols[known] >= 32)).all()
+    assert batch.votes is not None and (batch.votes == known).all()
 
 
 def test_quaternions_of_many_rotations(rng: np.random.Generator) -> None:

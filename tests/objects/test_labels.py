@@ -1,0 +1,26 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+
+from ggwarp.objects.labels import contingency, filled, thinned
+
+
+def test_pairs_of_known_labels_are_counted() -> None:
+    rows = np.array([[0, 1, -1], [2, 2, 1]], np.int32)
+    columns = np.array([[2, 1, 0], [0, -1, 1]], np.int32)
+    assert contingency(rows, columns, 3).tolist() == [[0, 0, 1], [0, 2, 0], [1, 0, 0]]
+
+
+def test_unknown_pixels_take_the_nearest_label() -> None:
+    labels = np.full((9, 12), -1, np.int32)
+    labels[:, 0], labels[:, 11] = 4, 7
+    out = filled(labels)
+    assert (out[:, :6] == 4).all() and (out[:, 6:] == 7).all()
+    assert (filled(np.full((3, 3), -1, np.int32)) == -1).all()
+    known = np.arange(6, dtype=np.int32).reshape(2, 3)
+    assert (filled(known) == known).all()
+
+
+def test_large_images_are_counted_on_a_grid() -> None:
+    small, large = np.zeros((170, 300)), np.zeros((680, 1200))
+    assert small[thinned(*small.shape)].shape == small.shape
+    assert 40_000 < large[thinned(*large.shape)].size < 60_000

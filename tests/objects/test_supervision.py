@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What masks teach a map, seen from outside: good ones, bad ones and none."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from ggwarp import lie
+from ggwarp.datasets.synthetic import SyntheticOffice
+from ggwarp.objects.supervision import SupervisionConfig
+from ggwarp.pipeline.mapper import Mapper, MapperConfig
+from ggwarp.types import Frame
+
+OFFICE = SyntheticOffice(scale=0.1)
+
+
+@pytest.fixture(scope="module")
+def frame() -> Frame:
+    return OFFICE[0]
+
+
+def mapped(device: str, frame: Frame, masks: list, **options) -> Mapper:
+    """Return a map that saw ``frame`` once with each of ``masks``; only votes move its identities."""
+    classifier = dataclasses.replace(MapperConfig().classifier, weight=0.0, weight_3d=0.0)
+    config = MapperConfig(classifier=classifier, supervision=SupervisionConfig(**options))
+    mapper = Mapper(config, OFFICE.camera, device=device, use_identity=True)
+    for mask in masks:
+        assert frame.T_wc is not None
+        mapper.insert(dataclasses.replace(frame, mask=mask), frame.T_wc)
+        for _ in range(8):
+            mapper.iterate()
+    return mapper
+
+
+def agreement(mapper: Mapper, frame: Frame, where: np.ndarray | None = None) -> float:
+    """Return the share of Gaussians that belong to the object at whose pixels (``where``) they lie."""
+    assert frame.T_wc is not None and frame.mask is not None
+    points = lie.transform_points(lie.inverse(frame.T_wc), mapper.map.to_host()["means"])
+    c = OFFICE.camera
+    columns = np.rint(points[:, 0] / points[:, 2] * c.fx + c.cx).astype(int)
+    rows = np.rint(points[:, 1] / points[:, 2] * c.fy + c.cy).astype(int)
+    right = mapper.export().object_ids == frame.mask[rows, columns]
+    return float(right.mean() if where is None else right[where[rows, columns]].mean())
+
+
+def renamed(mask: np.ndarray, old: int, new: int) -> np.ndarray:
+    return np.where(mask == old, new, mask).astype(np.int32)
+
+
+def largest(mask: np.ndarray) -> list[int]:
+    ids, counts = np.unique(mask, return_counts=True)
+    return ids[np.argsort(-counts)][:3].tolist()
+
+
+def test_dots_are_outvoted(device: str, frame: Frame, rng: np.random.Generator) -> None:
+    def dotted() -> np.ndarray:
+        dots = rng.random(frame.mask.shape) < 0.3
+        return np.where(dots, rng.integers(0, 50, frame.mask.shape), frame.mask).astype(np.int32)
+
+    masks = [dotted() for _ in range(7)]
+    assert agreement(mapped(device, frame, masks), frame) > 0.88
+    assert agreement(mapped(device, frame, masks, votes=0), frame) < 0.75
+
+
+def test_an_early_mistake_is_put_right_by_later_frames(device: str, frame: Frame) -> None:
+    first, second, _ = largest(frame.mask)
+    wrong = renamed(frame.mask, first, second)
+    here = frame.mask == first
+    assert agreement(mapped(device, frame, [wrong]), frame, here) == 0.0
+    assert agreement(mapped(device, frame, [wrong] + 4 * [frame.mask]), frame, here) > 0.98
+
+
+def test_a_swapped_frame_is_seen_through(device: str, frame: Frame) -> None:
+    first, second, _ = largest(frame.mask)
+    swapped = renamed(frame.mask, first, second)
+    mapper, straight = (mapped(device, frame, 3 * [frame.mask] + [last]) for last in (swapped, frame.mask))
+    # The last vote went to the object's own code: identities are where they would be without the swap.
+    one, other = (m.map.fields["identities"].numpy()[: m.map.count] for m in (mapper, straight))
+    same = np.abs(one - other).max(axis=1) < 1e-3
+    assert same.mean() > 0.95
+    assert agreement(mapper, frame, frame.mask == first) > 0.95
+
+
+def test_frames_without_mask_learn_from_the_map(device: str, frame: Frame) -> None:
+    mapper = mapped(device, frame, [frame.mask, None])
+    votes = mapper.map.fields["votes"].numpy()[: mapper.map.count]
+    assert (votes == 1).any() and (votes == 0).any(), "what began without a mask has no vote"
+    assert agreement(mapper, frame) > 0.95
+    assert agreement(mapped(device, frame, [None]), frame) < 0.1
+    assert agreement(mapped(device, frame, [None, frame.mask]), frame) > 0.98
+
+
+def test_contradictions_teach_nothing(device: str, frame: Frame) -> None:
+    mapper = mapped(device, frame, 3 * [frame.mask])
+    first, second, _ = largest(frame.mask)
+    spoilt = frame.mask.copy()
+    here = np.zeros(spoilt.shape, bool)
+    here[::7, ::7] = True
+    here &= spoilt == first
+    spoilt[here] = second
+    view = mapper.render(frame.T_wc)
+    lesson = mapper._supervision.teach(
+        dataclasses.replace(frame, mask=spoilt), mapper._renderer.pose_array(frame.T_wc), view
+    )
+    assert lesson is not None
+    assert (lesson.targets[here] == -1).mean() > 0.8
+    assert (lesson.targets[~here] >= 0).mean() > 0.95
+    assert (lesson.seeds >= 0).all()
+
+
+def test_twice_the_same_to_the_bit(device: str, frame: Frame) -> None:
+    masks = [frame.mask, renamed(frame.mask, *largest(frame.mask)[:2]), None, frame.mask]
+    one, two = (mapped(device, frame, masks).map.to_host() for _ in range(2))
+    for name, values in one.items():
+        np.testing.assert_array_equal(values, two[name])
