@@ -192,13 +192,13 @@ def nearest_in_grid(grid: HashGrid, q: wp.vec3, radius: float):
                         dx = wp.where(shell, 0, ring * side_x)
                         for _x in range(wp.where(shell, 2 * ring + 1, 2)):
                             if yz2 + _gap2(q[0], home[0] + dx, size) <= best_d2:
-                                cell = home + wp.vec3i(dx, dy, dz)
-                                key = hash_cell(cell, grid.table_size)
+                                key = hash_cell(home + wp.vec3i(dx, dy, dz), grid.table_size)
+                                # A point of another cell with this key is as good: no need to tell.
                                 for j in range(grid.starts[key], grid.ends[key]):
-                                    if grid.cells[j] == cell:
-                                        d2 = wp.length_sq(grid.points[j] - q)
-                                        nearer = d2 < best_d2 or (best < 0 and d2 == best_d2)
-                                        if d2 == best_d2 and best >= 0:
+                                    d2 = wp.length_sq(grid.points[j] - q)
+                                    if d2 <= best_d2:
+                                        nearer = d2 < best_d2 or best < 0
+                                        if not nearer:
                                             nearer = grid.indices[j] < grid.indices[best]
                                         if nearer:
                                             best = j
