@@ -26,7 +26,10 @@ _CELL_LIMIT = wp.constant(1.0e9)
 
 @wp.struct
 class HashGrid:
-    """Points in cell order. ``points[i]`` was given as point ``indices[i]``."""
+    """Points in cell order. ``points[i]`` was given as point ``indices[i]``.
+
+    Those of key ``h`` are ``spans[h, 0]`` to before ``spans[h, 1]``: side by side, for one access to memory.
+    """
 
     count: int
     cell_size: float
@@ -35,8 +38,7 @@ class HashGrid:
     cells: wp.array[wp.vec3i]
     indices: wp.array[int]
     keys: wp.array[int]
-    starts: wp.array[int]
-    ends: wp.array[int]
+    spans: wp.array2d[int]
 
 
 def allocate_hash_grid(capacity: int, *, device: Any) -> Any:
@@ -49,8 +51,7 @@ def allocate_hash_grid(capacity: int, *, device: Any) -> Any:
     # Twice the room: the radix sort ping-pongs inside its arrays.
     grid.indices = wp.empty(2 * capacity, dtype=int, device=device)
     grid.keys = wp.empty(2 * capacity, dtype=int, device=device)
-    grid.starts = wp.empty(grid.table_size, dtype=int, device=device)
-    grid.ends = wp.empty(grid.table_size, dtype=int, device=device)
+    grid.spans = wp.empty((grid.table_size, 2), dtype=int, device=device)
     return grid
 
 
@@ -94,9 +95,9 @@ def _gather_points(points: wp.array[wp.vec3], grid: HashGrid):
     grid.cells[i] = cell_of(p, grid.cell_size)
     key = grid.keys[i]
     if i == 0 or grid.keys[i - 1] != key:
-        grid.starts[key] = i
+        grid.spans[key, 0] = i
     if i == grid.count - 1 or grid.keys[i + 1] != key:
-        grid.ends[key] = i + 1
+        grid.spans[key, 1] = i + 1
 
 
 def build_hash_grid(grid: Any, points: Any, *, cell_size: float, device: Any) -> None:
@@ -117,8 +118,7 @@ def build_hash_grid(grid: Any, points: Any, *, cell_size: float, device: Any) ->
         raise ValueError(f"hash grid: cell size {cell_size}, but it must be positive")
     grid.count = n
     grid.cell_size = cell_size
-    grid.starts.zero_()
-    grid.ends.zero_()
+    grid.spans.zero_()
     if n == 0:
         return
     launch_split(
@@ -194,7 +194,7 @@ def nearest_in_grid(grid: HashGrid, q: wp.vec3, radius: float):
                             if yz2 + _gap2(q[0], home[0] + dx, size) <= best_d2:
                                 key = hash_cell(home + wp.vec3i(dx, dy, dz), grid.table_size)
                                 # A point of another cell with this key is as good: no need to tell.
-                                for j in range(grid.starts[key], grid.ends[key]):
+                                for j in range(grid.spans[key, 0], grid.spans[key, 1]):
                                     d2 = wp.length_sq(grid.points[j] - q)
                                     if d2 <= best_d2:
                                         nearer = d2 < best_d2 or best < 0
@@ -300,7 +300,7 @@ def _k_nearest(
                     cell = home + wp.vec3i(dx, dy, dz)
                     if _box_distance2(q, cell, grid.cell_size) <= d2s[i, k - 1]:
                         key = hash_cell(cell, grid.table_size)
-                        for j in range(grid.starts[key], grid.ends[key]):
+                        for j in range(grid.spans[key, 0], grid.spans[key, 1]):
                             if grid.cells[j] == cell:
                                 _offer(grid, j, q, i, k, indices, d2s)
     reach = float(rings) * grid.cell_size
