@@ -29,6 +29,7 @@ ALLOWED: dict[str, set[str]] = {
     "config": {"types", "io", "pipeline"},
     "console": set(),
     "session": {"types", "kernels", "datasets", "evaluation", "pipeline", "console"},
+    "precompile": {"kernels"},
     "run": {"types", "kernels", "io", "datasets", "pipeline", "config", "console", "session"},
 }
 """Room -> the rooms it may import (itself aside)."""

@@ -13,6 +13,7 @@ import pkgutil
 import sys
 import tempfile
 from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -30,21 +31,37 @@ ONE_DEVICE = {
 """Modules whose kernels run on one kind of device only."""
 
 
+class ArchitectureError(ValueError):
+    """A CUDA architecture that Warp cannot compile for."""
+
+
 def all_kernel_modules() -> list[Any]:
     """Import this package's modules and return the Warp modules that hold kernels, by name."""
-    return _with_kernels(importlib.import_module(name).__name__ for name in _names())
+    return _imported(_names())
+
+
+def kernel_modules(device: Any) -> list[Any]:
+    """Import this package's modules and return the Warp modules that ``device`` runs."""
+    return _imported(_names(_kind(device)))
 
 
 def imported_kernel_modules(device: Any) -> list[Any]:
     """Return the Warp modules with kernels, among those imported so far, that ``device`` runs."""
-    kind = "cpu" if wp.get_device(device).is_cpu else "cuda"
-    names = (n for n in _names() if ONE_DEVICE.get(n.rsplit(".", 1)[-1], kind) == kind)
-    return _with_kernels(n for n in names if n in sys.modules)
+    return _with_kernels(n for n in _names(_kind(device)) if n in sys.modules)
 
 
-def _names() -> list[str]:
+def _kind(device: Any) -> str:
+    return "cpu" if wp.get_device(device).is_cpu else "cuda"
+
+
+def _names(kind: str | None = None) -> list[str]:
+    """Return the names of this package's modules; with ``kind``, of those that such a device runs."""
     found = (m.name for m in pkgutil.iter_modules(ggwarp.kernels.__path__))
-    return sorted(f"ggwarp.kernels.{name}" for name in found)
+    return sorted(f"ggwarp.kernels.{name}" for name in found if kind in (None, ONE_DEVICE.get(name, kind)))
+
+
+def _imported(names: Iterable[str]) -> list[Any]:
+    return _with_kernels(importlib.import_module(name).__name__ for name in names)
 
 
 def _with_kernels(names: Iterable[str]) -> list[Any]:
@@ -54,14 +71,45 @@ def _with_kernels(names: Iterable[str]) -> list[Any]:
 def uncompiled(modules: list[Any], device: Any) -> list[Any]:
     """Return those of ``modules`` that Warp's cache does not hold for ``device``."""
     wp.init()
+    device = wp.get_device(device)
     # The block size is part of a module's identity; on a CPU a block is one thread.
-    block_dim, suffixes = (1, (".o",)) if wp.get_device(device).is_cpu else (None, (".cubin", ".ptx"))
-    missing = []
-    for module in modules:
-        folder = Path(wp.config.kernel_cache_dir) / module.get_module_identifier(block_dim)
-        if not any(path.suffix in suffixes for path in folder.glob("*")):
-            missing.append(module)
-    return missing
+    block_dim, ending = 1, ".o"
+    if device.is_cuda:
+        block_dim, ending = None, f".sm{device.get_cuda_compile_arch()}.{device.get_cuda_output_format()}"
+    return [m for m in modules if not _cached(m, ending, block_dim)]
+
+
+def _cached(module: Any, ending: str, block_dim: int | None = None) -> bool:
+    folder = Path(wp.config.kernel_cache_dir) / module.get_module_identifier(block_dim)
+    return any(path.name.endswith(ending) for path in folder.glob("*"))
+
+
+def compile_for(arch: int) -> tuple[int, int]:
+    """Compile all modules for CUDA architecture ``arch`` into Warp's cache, on all cores.
+
+    Returns:
+        How many were compiled, and how many were there.
+
+    Raises:
+        ArchitectureError: Warp's compiler does not know ``arch``.
+    """
+    wp.init()
+    modules = _imported(_names("cuda"))
+    cold = [m for m in modules if not _cached(m, f".sm{arch}.cubin")]
+
+    def build(module: Any) -> None:
+        wp.compile_aot_module(module, arch=arch, use_ptx=False)
+
+    if cold:
+        try:
+            build(cold[0])
+        except Exception as error:
+            raise ArchitectureError(
+                f"architecture {arch}: {error}; give compute capabilities such as 90"
+            ) from error
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            list(pool.map(build, cold[1:]))
+    return len(cold), len(modules) - len(cold)
 
 
 def load(modules: list[Any], device: Any) -> None:
@@ -71,8 +119,13 @@ def load(modules: list[Any], device: Any) -> None:
 
 
 def init_quietly() -> None:
-    """Start Warp without its greeting, and without its warning where there is no NVIDIA driver."""
+    """Start Warp without its greeting, and without its warning where there is no NVIDIA driver.
+
+    Warp shall compile for the very device: its own choice depends on the driver, and may miss what was
+    compiled beforehand.
+    """
     wp.config.log_level = wp.LOG_WARNING
+    wp.config.cuda_output = wp.config.cuda_output or "cubin"
     sys.stderr.flush()
     kept = os.dup(2)
     with tempfile.TemporaryFile() as said:
