@@ -25,7 +25,7 @@ from ggwarp.pipeline.drawing import Drawing
 from ggwarp.pipeline.views import Keyframe, Stage
 from ggwarp.types import Float64
 
-_RATES = AdamRates(means=2e-4, quats=2e-2, log_scales=2.5e-2, opacity=0.2, colours=1e-2, identities=2.5e-3)
+_RATES = AdamRates(means=2e-4, quats=2e-2, log_scales=2.5e-2, opacity=0.2, colours=1e-2, identities=2.5e-2)
 
 
 @dataclass(frozen=True)
