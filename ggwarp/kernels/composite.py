@@ -14,13 +14,14 @@ from typing import Any
 import warp as wp
 
 from ggwarp.kernels import composite_cpu, composite_cpu_adjoint, composite_cuda
+from ggwarp.kernels.composite_patches import TILES
 from ggwarp.kernels.launch import launch_split
 from ggwarp.kernels.project import Splats
 from ggwarp.kernels.project_adjoint import SlotGradients
 from ggwarp.kernels.tiles import TileArrays, tiles_across
 
-_MIN_TILES = 8
-"""Fewer tiles than this are not worth a second thread."""
+_MIN_TASKS = 2
+"""Fewer CPU tasks than this are not worth a second thread."""
 
 
 def composite(
@@ -119,7 +120,7 @@ def _launch(
     cooperative: bool | None,
 ) -> None:
     """Launch the form for a CPU or the one for CUDA over all tiles."""
-    per_tile, per_block = kernels
+    on_cpu, per_block = kernels
     device = outputs[0].device
     count = tiles.tile_ranges.shape[0]
     if cooperative if cooperative is not None else not device.is_cpu:
@@ -132,7 +133,8 @@ def _launch(
             device=device,
         )
     else:
-        launch_split(per_tile, count, inputs=inputs, outputs=outputs, device=device, min_piece=_MIN_TILES)
+        tasks = -(-count // TILES)
+        launch_split(on_cpu, tasks, inputs=inputs, outputs=outputs, device=device, min_piece=_MIN_TASKS)
 
 
 def _check(identities: wp.array | None, image: wp.array, width: int, height: int) -> int:

@@ -26,6 +26,9 @@ OPTIONS = {
 }
 """Module options of the kernels made of these pieces."""
 
+TILES = 4
+"""Tiles in a task: its scratch is cleared once."""
+
 vec8 = wp.types.vector(8, wp.float32)
 
 DEPTH = wp.constant(3)
@@ -88,30 +91,6 @@ def any_at_least(v: vec16, bound: float) -> bool:
 
 
 @wp.func
-def first_quad(tile_x: int, tile_y: int, patch: int, quads: int) -> int:
-    """Index of a patch's first four pixels in a plane that is seen as rows of ``quads`` vec4."""
-    return (tile_y * 16 + (patch >> 2) * 4) * quads + tile_x * 4 + (patch & 3)
-
-
-@wp.func
-def load_patch(plane: wp.array[wp.vec4], quad: int, quads: int) -> vec16:
-    a = plane[quad]
-    b = plane[quad + quads]
-    c = plane[quad + 2 * quads]
-    d = plane[quad + 3 * quads]
-    return vec16(
-        a[0], a[1], a[2], a[3], b[0], b[1], b[2], b[3], c[0], c[1], c[2], c[3], d[0], d[1], d[2], d[3]
-    )
-
-
-@wp.func
-def store_patch(plane: wp.array[wp.vec4], quad: int, quads: int, patches: wp.array[wp.vec4], row: int):
-    """Write vector ``row`` of ``patches``, which is seen as vec4."""
-    for j in range(4):
-        plane[quad + j * quads] = patches[4 * row + j]
-
-
-@wp.func
 def on_tile(row: vec16, tile_x: int, tile_y: int) -> vec16:
     """A row of :class:`ggwarp.kernels.project.Splats` as the loops over patches want it.
 
@@ -159,6 +138,73 @@ def patch_rect(s: vec16) -> wp.vec4i:
     x0, x1 = _span(s[4], s[12])
     y0, y1 = _span(s[5], s[13])
     return wp.vec4i(x0, y0, x1, y1)
+
+
+def make_gather(lines: int, chunk: int):
+    """Return a device function, for one kernel, that fetches up to ``chunk`` splats of ``lines`` lines."""
+
+    @wp.func
+    def gather(
+        size: int,
+        slots: wp.array[int],
+        begin: int,
+        slot_gaussians: wp.array[int],
+        rows: wp.array[vec16],
+        identities: wp.array[vec16],
+        gaussians: wp.array[int],
+        splats: wp.array[vec16],
+    ):
+        """Fill ``splats``. Loops of few instructions: so many of the waits for memory overlap."""
+        k = int(0)
+        while k < size:
+            gaussians[k] = slot_gaussians[slots[begin + k]]
+            k += 1
+        k = int(0)
+        while k < size:
+            splats[k * lines] = rows[gaussians[k]]
+            k += 1
+        if wp.static(lines == 2):
+            k = int(0)
+            while k < size:
+                splats[k * 2 + 1] = identities[gaussians[k]]
+                k += 1
+
+    return gather
+
+
+def make_listing(lines: int, chunk: int):
+    """Return a device function, for one kernel, that lists splats under the patches that they touch."""
+
+    @wp.func
+    def list_splats(
+        size: int,
+        tile_x: int,
+        tile_y: int,
+        splats: wp.array[vec16],
+        counts: wp.array[int],
+        lists: wp.array[wp.int16],
+    ):
+        """Fill ``lists`` (``chunk`` places a patch) and put the splats :func:`on_tile`."""
+        for patch in range(16):
+            counts[patch] = 0
+        k = int(0)
+        while k < size:
+            s = on_tile(splats[k * lines], tile_x, tile_y)
+            rect = patch_rect(s)
+            splats[k * lines] = s
+            y = rect[1]
+            while y < rect[3]:
+                x = rect[0]
+                while x < rect[2]:
+                    patch = y * 4 + x
+                    count = counts[patch]
+                    lists[patch * chunk + count] = wp.int16(k)
+                    counts[patch] = count + 1
+                    x += 1
+                y += 1
+            k += 1
+
+    return list_splats
 
 
 @wp.func

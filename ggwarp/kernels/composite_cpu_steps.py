@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Steps of the composite's adjoint on a CPU: see :mod:`ggwarp.kernels.composite_cpu_adjoint`.
+
+A function is for one kernel: LLVM always inlines what is called once. Loops are written as they need few
+instructions.
+"""
+
+import warp as wp
+
+from ggwarp.kernels.composite_patches import (
+    ALPHA_MAX,
+    TRANSMITTANCE_MIN,
+    depth_at,
+    log_alpha,
+    make_exp,
+    vec8,
+)
+from ggwarp.kernels.math import vec16
+from ggwarp.kernels.project import LOG_ALPHA_MIN
+
+wp.set_module_options({"enable_backward": False})
+
+mat16 = wp.types.matrix((16, 16), wp.float32)
+mat16x8 = wp.types.matrix((16, 8), wp.float32)
+
+
+@wp.func
+def _transpose(
+    source: wp.array[wp.vec4], first: int, stride: int, out: wp.array[wp.vec4], to: int, out_stride: int
+):
+    a = source[first]
+    b = source[first + stride]
+    c = source[first + 2 * stride]
+    d = source[first + 3 * stride]
+    for i in range(4):
+        out[to + i * out_stride] = wp.vec4(a[i], b[i], c[i], d[i])
+
+
+def make_load_tile(channels: int):
+    """Return the device function that begins a tile, for one kernel."""
+
+    @wp.func
+    def load_tile(
+        first_line: int,
+        lines_across: int,
+        plane: int,
+        shaping: int,
+        image: wp.array[vec16],
+        transmittance: wp.array[vec16],
+        d_image: wp.array[vec16],
+        d_transmittance: wp.array[vec16],
+        g_quads: wp.array[wp.vec4],
+        behind: wp.array[wp.vec4],
+        line: wp.array[vec16],
+        line_quads: wp.array[wp.vec4],
+    ):
+        """Load d_image by patch and channel, and R before the first splat."""
+        for row in range(16):
+            at = first_line + row * lines_across
+            total = vec16() + wp.cw_mul(transmittance[at], d_transmittance[at])
+            to = (row & ~3) * wp.static(4 * channels) + (row & 3)
+            c = int(0)
+            while c < channels:
+                d = d_image[at]
+                if c < shaping:
+                    total += wp.cw_mul(d, image[at])
+                line[0] = d
+                for j in range(4):
+                    g_quads[to + j * wp.static(4 * channels)] = line_quads[j]
+                at += plane
+                to += 4
+                c += 1
+            line[0] = total
+            for j in range(4):
+                behind[(row & ~3) * 4 + 4 * j + (row & 3)] = line_quads[j]
+
+    return load_tile
+
+
+def make_turn_patch(channels: int):
+    """Return the device function that lays a patch's gradients out by pixel, for one kernel."""
+
+    @wp.func
+    def turn_patch(
+        patch: int,
+        g_quads: wp.array[wp.vec4],
+        weight_quads: wp.array[wp.vec4],
+        turned_quads: wp.array[wp.vec4],
+    ):
+        """Lay the gradients of a patch out by pixel."""
+        x0 = float((patch & 3) * 4) - 7.5
+        y0 = float((patch >> 2) * 4) - 7.5
+        for j in range(4):
+            first = patch * wp.static(4 * channels) + j
+            pixel = 16 * patch + 4 * j
+            _transpose(g_quads, first, 4, weight_quads, 2 * pixel, 2)
+            for i in range(4):
+                d_depth = g_quads[first + 12][i]
+                u = x0 + float(i)
+                v = y0 + float(j)
+                weight_quads[2 * (pixel + i) + 1] = wp.vec4(d_depth * u, d_depth * v, 0.0, 0.0)
+            if wp.static(channels == 20):
+                for b in range(4):
+                    _transpose(g_quads, first + 16 * (b + 1), 4, turned_quads, 4 * pixel + b, 4)
+
+    return turn_patch
+
+
+def make_passes(channels: int):
+    """Return the device functions that walk a patch's list, for one kernel, in their order."""
+    lines = 2 if channels == 20 else 1
+    patch_channels = wp.types.matrix((channels, 16), wp.float32)
+    exp = make_exp()
+
+    @wp.func
+    def take_products(
+        count: int,
+        head: int,
+        identity_shapes: int,
+        lists: wp.array[wp.int16],
+        splats: wp.array[vec16],
+        gp: patch_channels,
+        products: wp.array[vec16],
+    ):
+        """q less the depth's part."""
+        i = int(0)
+        while i < count:
+            s = splats[int(lists[head + i]) * lines]
+            q = vec16()
+            for c in range(3):
+                q += gp[c] * s[8 + c]
+            products[i] = q
+            i += 1
+        if wp.static(lines == 2):
+            if identity_shapes != 0:
+                i = int(0)
+                while i < count:
+                    f = splats[int(lists[head + i]) * 2 + 1]
+                    q = products[i]
+                    for c in range(16):
+                        q += gp[4 + c] * f[c]
+                    products[i] = q
+                    i += 1
+
+    @wp.func
+    def walk(
+        count: int,
+        head: int,
+        patch: int,
+        lists: wp.array[wp.int16],
+        splats: wp.array[vec16],
+        d_depth: vec16,
+        products: wp.array[vec16],
+        pixels: wp.array[vec16],
+        transmittances: wp.array[vec16],
+        behind: wp.array[vec16],
+        weights: wp.array[vec16],
+        slopes: wp.array[vec16],
+    ):
+        """Pass the splats front to back: w and d loss / d ln alpha."""
+        T = transmittances[patch]
+        rest = behind[patch]
+        pixel_x = pixels[patch]
+        pixel_y = pixels[16 + patch]
+        i = int(0)
+        while i < count:
+            s = splats[int(lists[head + i]) * lines]
+            dx = pixel_x - vec16(s[4])
+            dy = pixel_y - vec16(s[5])
+            power = log_alpha(s, dx, dy)
+            raw = exp(power)
+            q = products[i] + wp.cw_mul(d_depth, depth_at(s, dx, dy))
+            w = vec16()
+            d = vec16()
+            for j in range(16):
+                counted = power[j] >= LOG_ALPHA_MIN and T[j] >= TRANSMITTANCE_MIN
+                alpha = wp.where(counted, wp.min(raw[j], ALPHA_MAX), 0.0)
+                w[j] = alpha * T[j]
+                rest[j] = rest[j] - w[j] * q[j]
+                d_alpha = T[j] * q[j] - rest[j] / (1.0 - alpha)
+                d[j] = wp.where(raw[j] < ALPHA_MAX, alpha * d_alpha, 0.0)
+                T[j] = T[j] - w[j]
+            weights[i] = w
+            slopes[i] = d
+            i += 1
+        transmittances[patch] = T
+        behind[patch] = rest
+
+    @wp.func
+    def add_identities(
+        count: int,
+        head: int,
+        lists: wp.array[wp.int16],
+        weights: wp.array[vec16],
+        by_pixel: mat16,
+        sums: wp.array[vec16],
+    ):
+        i = int(0)
+        while i < count:
+            k = int(lists[head + i])
+            w = weights[i]
+            total = sums[k]
+            for p in range(16):
+                total += by_pixel[p] * w[p]
+            sums[k] = total
+            i += 1
+
+    @wp.func
+    def add_shapes(
+        count: int,
+        head: int,
+        lists: wp.array[wp.int16],
+        weights: wp.array[vec16],
+        slopes: wp.array[vec16],
+        by_weight: mat16x8,
+        by_slope: mat16x8,
+        sums: wp.array[vec8],
+    ):
+        i = int(0)
+        while i < count:
+            k = 2 * int(lists[head + i])
+            w = weights[i]
+            total = sums[k]
+            for p in range(16):
+                total += by_weight[p] * w[p]
+            sums[k] = total
+            i += 1
+        i = int(0)
+        while i < count:
+            k = 2 * int(lists[head + i]) + 1
+            d = slopes[i]
+            total = sums[k]
+            for p in range(16):
+                total += by_slope[p] * d[p]
+            sums[k] = total
+            i += 1
+
+    return take_products, walk, add_identities, add_shapes
