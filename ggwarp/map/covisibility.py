@@ -48,7 +48,7 @@ class Covisibility:
         if self._flags is None or self._flags.shape[0] != self._map.capacity:
             byte: Any = wp.uint8
             self._flags = wp.empty(self._map.capacity, dtype=byte, device=self._map.device)
-        renderer.forward(renderer.pose_array(T_wc))
+        renderer.render(T_wc)
         flag_seen(
             renderer.splats,
             renderer.median_depth,

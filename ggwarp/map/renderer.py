@@ -34,7 +34,7 @@ class Renderer:
     """Renders one map for one camera.
 
     Attributes:
-        image: [C, Hp, Wp] float: colour, depth, identity; of the last :meth:`forward`.
+        image: [C, Hp, Wp] float: colour, depth, identity; of the last :meth:`forward` or :meth:`render`.
         transmittance, median_depth: [Hp, Wp] float.
         d_image, d_transmittance: gradients for :meth:`adjoint`; zeros at first.
         gradients: of the visible Gaussians' parameters, after :meth:`adjoint`.
@@ -90,7 +90,7 @@ class Renderer:
         """Render from ``T_cw`` ([1] mat44, world to camera).
 
         Nothing is read back on CUDA or in a recording: where tile slots do not suffice the farthest splats
-        are left out, until :meth:`make_room`.
+        are left out, until :meth:`make_room`; see also :meth:`render`.
         """
         self._bin(T_cw)
         composite(
@@ -103,6 +103,13 @@ class Renderer:
             median_depth=self.median_depth,
             identities=self._identities,
         )
+
+    def render(self, T_wc: Float64) -> None:
+        """Render all that is seen from ``T_wc`` [4, 4]; wait for the device."""
+        T_cw = self.pose_array(T_wc)
+        self.forward(T_cw)
+        if self.make_room():
+            self.forward(T_cw)
 
     def adjoint(self, T_cw: wp.array, *, pose: bool = False) -> None:
         """Chain ``d_image`` and ``d_transmittance`` to ``gradients``; after :meth:`forward`.

@@ -41,7 +41,7 @@ class MapView:
     def render(self, T_wc: Float64) -> Rendered:
         """Return the map's view from ``T_wc`` [4, 4]."""
         r = self._renderer
-        r.forward(r.pose_array(T_wc))
+        r.render(T_wc)
         image = r.plane(r.image)
         return Rendered(
             rgb=np.ascontiguousarray(np.clip(image[:3], 0.0, 1.0).transpose(1, 2, 0)),
@@ -62,7 +62,7 @@ class MapView:
         fields, colours = self._map.fields, self._map.fields["colours"]
         fields["colours"] = self._painted
         try:
-            self._renderer.forward(self._renderer.pose_array(T_wc))
+            self._renderer.render(T_wc)
         finally:
             fields["colours"] = colours
         return self._renderer.plane(self._renderer.image)[: len(selections)]

@@ -152,10 +152,7 @@ class Mapper:
     def render(self, T_wc: Float64) -> Rendered:
         """Return the map's view from ``T_wc`` [4, 4]."""
         r = self._renderer
-        pose = r.pose_array(T_wc)
-        r.forward(pose)
-        if r.make_room():
-            r.forward(pose)
+        r.render(T_wc)
         image = r.plane(r.image)
         identity = objects = confidence = None
         opacity = np.float32(1.0) - r.plane(r.transmittance)

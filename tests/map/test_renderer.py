@@ -5,6 +5,7 @@ import torch
 import warp as wp
 
 from ggwarp import lie
+from ggwarp.kernels.graph import GraphCache
 from ggwarp.map.gaussians import PARAMETERS, GaussianBatch, GaussianMap
 from ggwarp.map.renderer import Renderer
 from ggwarp.ops.reference.render import render as reference_render
@@ -153,3 +154,26 @@ def test_without_identities_colour_and_depth_are_the_same(device: str, rng: np.r
     lean.forward(T)
     assert lean.image.shape[0] == 4 and lean.gradients.identities is None
     np.testing.assert_allclose(lean.image.numpy(), renderer.image.numpy()[:4], atol=1e-5)
+
+
+def test_a_recording_that_lacks_slots_says_so(device: str, rng: np.random.Generator) -> None:
+    gaussians = GaussianMap(device=device, has_identity=True, capacity=64)
+    renderer = Renderer(gaussians, CAMERA)
+    big = scene(60, rng)
+    big.log_scales[:] = np.log(0.3)
+    renderer.forward(pose := renderer.pose_array(np.eye(4)))  # loads kernels
+    gaussians.append(big)
+    assert renderer.tiles.capacity < 60 * 6
+    graphs, before = GraphCache(device), renderer.allocation
+    for _ in range(2):
+        graphs.run("view", lambda: record(renderer, pose), arrays=before)
+    image = renderer.image.numpy().copy()
+    assert renderer.make_room() and renderer.allocation > before
+    renderer.render(np.eye(4))
+    assert not renderer.make_room()
+    assert (image != renderer.image.numpy()).any(), "the farthest were left out"
+
+
+def record(renderer: Renderer, pose: wp.array) -> None:
+    if renderer.image.device.is_capturing:
+        renderer.forward(pose)
