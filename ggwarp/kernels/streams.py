@@ -22,13 +22,23 @@ def to_host(array: Any) -> np.ndarray:
     """
     if array.device.is_cpu:
         return array.numpy()
-    event = array.device.stream.record_event()
-    with stepped_out():
-        wp.synchronize_event(event)
+    _wait_for(array.device.stream.record_event())
     host = wp.empty(array.shape, dtype=array.dtype, device="cpu")
     wp.copy(host, array)
     wp.synchronize_stream(array.device.stream)
     return host.numpy()
+
+
+def _wait_for(event: Any) -> None:
+    """Let the other side in until ``event`` has happened.
+
+    It may record a graph meanwhile, and ``wp.synchronize_event`` refuses to wait while any thread records.
+    """
+    runtime = event.device.runtime
+    with stepped_out():
+        done = runtime.core.wp_cuda_event_synchronize(event.cuda_event)
+    if not done:
+        raise RuntimeError(f"{event.device}: {runtime.get_error_string()}")
 
 
 class Backlog:
@@ -49,7 +59,6 @@ class Backlog:
             return
         event = self._events[self._count % len(self._events)]
         if self._count >= len(self._events):
-            with stepped_out():
-                wp.synchronize_event(event)
+            _wait_for(event)
         self._device.stream.record_event(event)
         self._count += 1

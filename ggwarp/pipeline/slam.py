@@ -151,8 +151,8 @@ class Slam:
             done += 1
         with lane:
             loss = self._mapper.settle()
-        if tracked.kind is not KeyframeKind.NONE and self._mapper.fits_poses:
-            self._policy.moved(self._mapper.keyframe_pose(-1))
+            if tracked.kind is not KeyframeKind.NONE and self._mapper.fits_poses:
+                self._policy.moved(self._mapper.keyframe_pose(-1))
         return self._report(tracked, done, loss, time.perf_counter() - started)
 
     def leave_unmapped(self, tracked: Tracked) -> StepReport:
