@@ -25,15 +25,14 @@ mat16x8 = wp.types.matrix((16, 8), wp.float32)
 
 
 @wp.func
-def _transpose(
-    source: wp.array[wp.vec4], first: int, stride: int, out: wp.array[wp.vec4], to: int, out_stride: int
-):
+def _transpose(source: wp.array[wp.vec4], first: int, out: wp.array[wp.vec4], to: int, stride: int):
+    """Turn four pixels of four channels, 4 quads apart, into four channels of four pixels."""
     a = source[first]
-    b = source[first + stride]
-    c = source[first + 2 * stride]
-    d = source[first + 3 * stride]
+    b = source[first + 4]
+    c = source[first + 8]
+    d = source[first + 12]
     for i in range(4):
-        out[to + i * out_stride] = wp.vec4(a[i], b[i], c[i], d[i])
+        out[to + i * stride] = wp.vec4(a[i], b[i], c[i], d[i])
 
 
 def make_load_tile(channels: int):
@@ -55,7 +54,8 @@ def make_load_tile(channels: int):
         line_quads: wp.array[wp.vec4],
     ):
         """Load d_image by patch and channel, and R before the first splat."""
-        for row in range(16):
+        row = int(0)
+        while row < 16:
             at = first_line + row * lines_across
             total = vec16() + wp.cw_mul(transmittance[at], d_transmittance[at])
             to = (row & ~3) * wp.static(4 * channels) + (row & 3)
@@ -73,6 +73,7 @@ def make_load_tile(channels: int):
             line[0] = total
             for j in range(4):
                 behind[(row & ~3) * 4 + 4 * j + (row & 3)] = line_quads[j]
+            row += 1
 
     return load_tile
 
@@ -90,18 +91,22 @@ def make_turn_patch(channels: int):
         """Lay the gradients of a patch out by pixel."""
         x0 = float((patch & 3) * 4) - 7.5
         y0 = float((patch >> 2) * 4) - 7.5
-        for j in range(4):
-            first = patch * wp.static(4 * channels) + j
+        j = int(0)
+        while j < 4:
             pixel = 16 * patch + 4 * j
-            _transpose(g_quads, first, 4, weight_quads, 2 * pixel, 2)
+            at = patch * wp.static(4 * channels) + j
             for i in range(4):
-                d_depth = g_quads[first + 12][i]
+                d_depth = g_quads[at + 12][i]
                 u = x0 + float(i)
                 v = y0 + float(j)
                 weight_quads[2 * (pixel + i) + 1] = wp.vec4(d_depth * u, d_depth * v, 0.0, 0.0)
-            if wp.static(channels == 20):
-                for b in range(4):
-                    _transpose(g_quads, first + 16 * (b + 1), 4, turned_quads, 4 * pixel + b, 4)
+            _transpose(g_quads, at, weight_quads, 2 * pixel, 2)
+            b = int(0)
+            while b < wp.static(channels // 4 - 1):
+                at += 16
+                _transpose(g_quads, at, turned_quads, 4 * pixel + b, 4)
+                b += 1
+            j += 1
 
     return turn_patch
 
