@@ -39,6 +39,9 @@ class ClassifierConfig:
     """l_obj3d of the loss."""
     rate: float = 5e-4
     """Adam's learning rate of the classifier."""
+    shapes: bool = True
+    """The cross-entropy's gradient also moves, shapes and fades Gaussians, as published; False: identities
+    learn and leave the picture as it is without them."""
     row_stride: int = 4
     """Cross-entropy is evaluated on every so-manyth image row, from a random first one."""
     interval_3d: int = 5

@@ -87,7 +87,7 @@ class Mapper:
             if self.classifier is not None
             else None
         )
-        self._renderer = Renderer(self.map, camera)
+        self._renderer = Renderer(self.map, camera, identity_shapes=config.classifier.shapes)
         self.covisibility = None if window is None else Covisibility(self.map, camera)
         self._fitter = Fitter(
             config, self.map, self._renderer, self.classifier, self._drawing(window), recorded=recorded

@@ -113,10 +113,11 @@ def test_a_frame_without_mask_still_teaches_colour(device: str, frame: Frame) ->
     assert psnr(mapper, frame) > before
 
 
-def test_identities_that_teach_nothing_change_nothing_else(device: str, frame: Frame) -> None:
-    """The same Gaussians are seeded and the same keyframes are drawn as without identities."""
-    silent = dataclasses.replace(MapperConfig().classifier, weight=0.0, weight_3d=0.0)
-    config = MapperConfig(classifier=silent, prune_interval=11)
+@pytest.mark.parametrize("change", [{"weight": 0.0, "weight_3d": 0.0}, {"shapes": False}], ids=str)
+def test_identities_that_shape_nothing_change_nothing_else(change: dict, device: str, frame: Frame) -> None:
+    """The same Gaussians are seeded, the same keyframes drawn, and the map is the one without identities."""
+    classifier = dataclasses.replace(MapperConfig().classifier, **change)
+    config = MapperConfig(classifier=classifier, prune_interval=11)
     mappers = [made(device, config, use_identity=use) for use in (True, False)]
     for new in (frame, OFFICE[5], OFFICE[10]):
         for mapper in mappers:
