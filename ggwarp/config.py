@@ -27,6 +27,7 @@ from ggwarp.pipeline.window import WindowConfig
 from ggwarp.types import Camera
 
 Preset = Literal["gg-slam", "gs-icp", "monogs", "fast", "quality"]
+MasksKind = Literal["tracked", "untracked"]
 TrackerKind = Literal["gicp", "photometric", "hybrid", "ground-truth"]
 
 _CPU_PIXELS = 50_000  # what two cores can map at a few frames a second
@@ -48,7 +49,12 @@ class RunConfig:
     """Data root; default: $GGWARP_DATA, else ./data."""
 
     masks: str | None = None
-    """Folder of per-frame object masks, or none; default: those beside the images, if there."""
+    """Folder of per-frame object masks, or none; default: those beside the images, if any; untracked: those,
+    and --masks-kind untracked."""
+
+    masks_kind: MasksKind = "tracked"
+    """untracked: the masks' ids say nothing across frames, as image segmenters write them; objects are found
+    again by the map."""
 
     out: Path | None = None
     """Run folder; default: runs/SEQ/UTC-TIME, linked as runs/latest."""
@@ -103,8 +109,19 @@ class RunConfig:
             policy=self.policy,
             window=self.window,
             use_identity=self.use_identity,
+            tracked_masks=self.tracked_masks,
             use_true_poses=self.tracker == "ground-truth",
         )
+
+    @property
+    def mask_folder(self) -> str | None:
+        """What :func:`ggwarp.datasets.open_dataset` takes as ``masks``."""
+        return None if self.masks == "untracked" else self.masks
+
+    @property
+    def tracked_masks(self) -> bool:
+        """Whether the masks' ids mean the same object in every frame."""
+        return self.masks_kind == "tracked" and self.masks != "untracked"
 
     def data_root(self) -> Path:
         """Return the folder that sequences are looked up in."""

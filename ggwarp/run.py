@@ -164,7 +164,7 @@ def execute(config: RunConfig, display: Display, interruption: Interruption, sta
     device = device_name(config.device)
     seq = config.seq
     assert seq is not None, "check() has seen to it"
-    dataset = open_dataset(seq, data_root=config.data_root(), masks=config.masks)
+    dataset = open_dataset(seq, data_root=config.data_root(), masks=config.mask_folder)
     if not len(dataset):
         raise DatasetError(f"{config.seq}: the sequence is empty")
     if not dataset.has_depth:
@@ -187,7 +187,8 @@ def execute(config: RunConfig, display: Display, interruption: Interruption, sta
     )
     beside = _beside(config, slam)
     load_kernels(device, display)
-    names = getattr(dataset, "class_names", {})
+    # The objects of untracked masks are numbered by the map.
+    names = getattr(dataset, "class_names", {}) if config.tracked_masks else {}
     record = report.RunRecord(name, dataset.kind, device, class_names=names)
     with reader:
         kept = track_and_map(slam, reader, record, display, interruption, beside=beside)

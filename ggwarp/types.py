@@ -158,8 +158,9 @@ class Rendered:
         identity: [h, w, 16] float32; None without identities.
         objects: [h, w] int32 object ids as the given masks name them, 0 = none; None without
             identities.
-        confidence: [h, w] float32, the probability of the likeliest object, 0..1; None without
+        classes: [h, w] int32 the likeliest class, as the identity classifier counts them; None without
             identities.
+        confidence: [h, w] float32, its probability, 0..1; None without identities.
     """
 
     rgb: Float32
@@ -168,6 +169,7 @@ class Rendered:
     opacity: Float32
     identity: Float32 | None = None
     objects: NDArray[np.int32] | None = None
+    classes: NDArray[np.int32] | None = None
     confidence: Float32 | None = None
 
     @property

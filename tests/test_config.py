@@ -54,6 +54,13 @@ def test_the_slam_part_is_composed():
         assert getattr(slam, part) is getattr(config, part)
 
 
+def test_untracked_masks_are_the_sequence_s_own_or_a_folder_s():
+    own, folder = c.RunConfig(masks="untracked"), c.RunConfig(masks="dir", masks_kind="untracked")
+    assert own.mask_folder is None and folder.mask_folder == "dir"
+    assert not own.slam().tracked_masks and not folder.slam().tracked_masks
+    assert c.RunConfig(masks="dir").slam().tracked_masks
+
+
 def test_a_file_starts_from_its_preset(tmp_path):
     path = tmp_path / "c.toml"
     path.write_text('preset = "gs-icp"\n[mapper]\niterations = 77\n')

@@ -66,10 +66,10 @@ def _fuse_kernel(
     T_cw: wp.array[wp.mat44],
     camera: CameraIntrinsics,
     tolerance: float,
-    limit: int,
     depth: wp.array2d[wp.float32],
     labels: wp.array2d[wp.int32],
     codes: wp.array[vec16],
+    limits: wp.array[wp.int32],
     identities: wp.array[vec16],
     votes: wp.array[wp.int32],
 ):
@@ -80,7 +80,7 @@ def _fuse_kernel(
     label = labels[at[0], at[1]]
     if label < 0 or label >= codes.shape[0]:
         return
-    n = wp.min(votes[i], limit - 1)
+    n = wp.min(votes[i], wp.max(limits[label], 1) - 1)
     identities[i] += (codes[label] - identities[i]) / float(n + 1)
     votes[i] = n + 1
 
@@ -128,35 +128,30 @@ def fuse_labels(
     depth: Any,
     labels: Any,
     codes: Any,
+    limits: Any,
     tolerance: float,
-    limit: int,
     identities: Any,
     votes: Any,
     device: Any,
 ) -> None:
     """Count a view's labels as votes of the Gaussians that it shows.
 
-    e <- e + (code - e) / (n + 1), n <- n + 1 for a Gaussian with n votes, n at most ``limit`` - 1 beforehand:
-    in the long run the mean forgets, so that it can be won over.
+    e <- e + (code - e) / (n + 1), n <- n + 1 for a Gaussian with n votes, at most the class's limit less
+    one: in the long run the mean forgets, so that it can be won over.
 
     Args:
         means, count, T_cw, camera, depth, tolerance: as of :func:`gather_evidence`.
         labels: [h, w] int class of each pixel; no vote outside [0, classes).
         codes: [classes] vec16, each class's code.
-        limit: votes that count, at least 1.
+        limits: [classes] int, votes that count, this one included; at least 1.
         identities: [>= count] vec16, updated.
         votes: [>= count] int, updated.
         device: a Warp device.
-
-    Raises:
-        ValueError: ``limit`` is below 1.
     """
-    if limit < 1:
-        raise ValueError(f"limit {limit}: at least one vote counts")
     launch_split(
         _fuse_kernel,
         count,
-        inputs=[means, T_cw, camera, tolerance, limit, depth, labels, codes],
+        inputs=[means, T_cw, camera, tolerance, depth, labels, codes, limits],
         outputs=[identities, votes],
         device=device,
     )

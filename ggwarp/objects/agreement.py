@@ -54,6 +54,16 @@ class LabelHistory:
                 wrong.append((m, label))
         return wrong
 
+    def join(self, kept: int, gone: int) -> None:
+        """Count what was seen of class ``gone`` for ``kept``."""
+        size = max(kept, gone) + 1 - len(self.counts)
+        if size > 0:
+            self.counts = np.pad(self.counts, (0, size))
+        for axis in (0, 1):
+            counts = self.counts.swapaxes(0, axis)
+            counts[kept] += counts[gone]
+            counts[gone] = 0
+
 
 def corrected(known: Labels, given: Labels, wrong: list[tuple[int, int]]) -> Labels:
     """Return ``given`` with the labels in ``wrong`` replaced by what the map knows.

@@ -2,7 +2,8 @@
 """Object ids: the masks' own ids on one side, dense class indices on the other.
 
 Masks may name objects by any non-negative integer; the classifier wants 0..classes-1. The
-table grows with every new id, so that no id is dropped and no two ids are merged.
+table grows with every new id, so that no id is dropped. Two classes found to be one object are joined: they
+go on as two for the classifier, and under one id for everyone else.
 """
 
 from __future__ import annotations
@@ -18,21 +19,22 @@ IGNORED = -1
 
 
 class ClassTable:
-    """A one-to-one map between mask ids and dense class indices; class 0 is "no object"."""
+    """Mask ids, classes and the ids that objects go by; class 0 is "no object"."""
 
     def __init__(self) -> None:
-        self._ids = np.array([NO_OBJECT], np.int64)  # class index -> id
-        self._lookup: dict[int, int] = {NO_OBJECT: 0}
+        self._names = [NO_OBJECT]  # class -> the id it goes by; NO_OBJECT: none yet
+        self._heads = [0]  # class -> the class that it was joined to, or itself
+        self._lookup: dict[int, int] = {NO_OBJECT: 0}  # mask id -> class
 
     @property
     def count(self) -> int:
         """Classes so far, "no object" included."""
-        return len(self._ids)
+        return len(self._names)
 
     @property
     def ids(self) -> NDArray[np.int64]:
-        """[count] the masks' id of each class."""
-        return self._ids
+        """[count] the id of each class's object: the masks' own, unless it is taken."""
+        return np.array(self._names, np.int64)[self._heads]
 
     def encode(self, mask: NDArray[np.int32]) -> NDArray[np.int32]:
         """Return the class of each pixel of ``mask`` [h, w], adding classes for new ids.
@@ -40,24 +42,58 @@ class ClassTable:
         Negative ids become :data:`IGNORED`.
         """
         present, inverse = np.unique(mask, return_inverse=True)
-        classes = np.empty(len(present), np.int32)
-        for i, raw in enumerate(present.tolist()):
-            classes[i] = IGNORED if raw < 0 else self._class_of(raw)
-        return classes[inverse].reshape(mask.shape)
+        classes = [IGNORED if raw < 0 else self._class_of(raw) for raw in present.tolist()]
+        return self.joined(np.array(classes, np.int32))[inverse].reshape(mask.shape)
 
     def decode(self, classes: NDArray[np.int32]) -> NDArray[np.int32]:
-        """Return the masks' ids of ``classes`` (any shape); ignored or unknown ones become 0."""
+        """Return the ids of ``classes`` (any shape); ignored or unknown ones become 0."""
         known = (classes >= 0) & (classes < self.count)
-        return np.where(known, self._ids[np.where(known, classes, 0)], NO_OBJECT).astype(np.int32)
+        return np.where(known, self.ids[np.where(known, classes, 0)], NO_OBJECT).astype(np.int32)
 
-    def find(self, ids: NDArray[np.int32]) -> NDArray[np.int32]:
-        """Return the class of each of ``ids`` (any shape); unknown ones become :data:`IGNORED`."""
-        order = np.argsort(self._ids, kind="stable")
-        at = np.minimum(np.searchsorted(self._ids[order], ids), self.count - 1)
-        return np.where(self._ids[order][at] == ids, order[at], IGNORED).astype(np.int32)
+    def joined(self, classes: NDArray[np.int32]) -> NDArray[np.int32]:
+        """Return ``classes`` (any shape), each as the class that stands for its object."""
+        heads = np.array([*self._heads, IGNORED], np.int32)
+        return heads[classes]  # IGNORED is the last
+
+    def begin(self) -> int:
+        """Return a new class that no mask id stands for; it goes by "no object" until it is named."""
+        self._names.append(NO_OBJECT)
+        self._heads.append(self.count - 1)
+        return self.count - 1
+
+    def name(self, index: int) -> int:
+        """Give class ``index`` the lowest free id if it has none; return its id."""
+        if self._names[index] == NO_OBJECT and index > 0:
+            taken = {*self._names, *self._lookup}
+            self._names[index] = next(i for i in range(1, len(taken) + 2) if i not in taken)
+        return self._names[index]
+
+    def join(self, kept: int, gone: int) -> None:
+        """Let class ``gone``, and what was joined to it, stand for the object of class ``kept``.
+
+        Raises:
+            ValueError: one of them is "no object".
+        """
+        kept, old = self._heads[kept], self._heads[gone]
+        if 0 in (kept, old):
+            raise ValueError(f"classes {kept} and {gone}: no object is not joined to one")
+        if self._names[kept] == NO_OBJECT:
+            self._names[kept] = self._names[old]
+        self._heads = [kept if head == old else head for head in self._heads]
+
+    def sources(self) -> dict[int, tuple[int, ...]]:
+        """Return id -> the mask ids that became it, where they are not itself alone."""
+        found: dict[int, list[int]] = {}
+        ids = self.ids.tolist()
+        for raw, index in self._lookup.items():
+            found.setdefault(ids[index], []).append(raw)
+        return {i: tuple(sorted(raws)) for i, raws in sorted(found.items()) if raws != [i]}
 
     def _class_of(self, raw: int) -> int:
         if raw not in self._lookup:
-            self._lookup[raw] = len(self._ids)
-            self._ids = np.append(self._ids, raw)
+            self._lookup[raw] = self.begin()
+            if raw in self._names:
+                self.name(self._lookup[raw])
+            else:
+                self._names[-1] = raw
         return self._lookup[raw]

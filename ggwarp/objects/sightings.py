@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,16 +30,23 @@ class Sighting:
 
 
 class Sightings:
-    """The keyframes of every id of the masks."""
+    """The keyframes of every object, by any number."""
 
     def __init__(self) -> None:
         self._frames: dict[int, set[int]] = {}
 
     def add(self, index: int, mask: NDArray[np.int32]) -> None:
-        """Note that frame ``index`` shows the ids of ``mask`` [h, w] that cover more than a dot."""
+        """Note that frame ``index`` shows the objects of ``mask`` [h, w] that cover more than a dot."""
         ids, counts = np.unique(mask, return_counts=True)
         for identifier in ids[(counts > _LEAST_SHARE * mask.size) & (ids > NO_OBJECT)].tolist():
             self._frames.setdefault(identifier, set()).add(index)
+
+    def renamed(self, names: NDArray[np.integer[Any]]) -> Sightings:
+        """Return the same with object i as ``names[i]``; objects of one name are one."""
+        out = Sightings()
+        for number, frames in self._frames.items():
+            out._frames.setdefault(int(names[number]), set()).update(frames)
+        return out
 
     def of(self, ids: Iterable[int]) -> Sighting | None:
         """Return when any of ``ids`` was seen; None: never."""

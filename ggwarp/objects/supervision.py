@@ -4,18 +4,20 @@
 Masks are taken with a grain of salt. Each of their pixels is a vote for the Gaussian that it shows, and a
 Gaussian's identity is the mean of its votes: dots, ragged borders and swapped ids are outvoted. What the map
 knows by several votes, in turn, is held against the mask: objects under a wrong id are given their own
-back, and pixels that contradict the map teach nothing.
+back, pixels that contradict the map teach nothing, and objects that turn out to be one are joined.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import logging
+from dataclasses import dataclass, field
 from typing import Any
 
 import cv2
 import numpy as np
 import warp as wp
 
+from ggwarp import lie
 from ggwarp.kernels.fusion import fuse_labels, gather_evidence
 from ggwarp.kernels.math import vec16
 from ggwarp.kernels.project import intrinsics_of
@@ -23,9 +25,16 @@ from ggwarp.kernels.streams import to_host
 from ggwarp.map.gaussians import GaussianMap
 from ggwarp.objects.agreement import LabelHistory, corrected
 from ggwarp.objects.classifier import Classifier
+from ggwarp.objects.joining import Joining, JoiningConfig
 from ggwarp.objects.labels import Labels, filled
+from ggwarp.objects.matching import MatchingConfig, SegmentMatcher, Understood
 from ggwarp.objects.registry import IGNORED, NO_OBJECT, ClassTable
-from ggwarp.types import Camera, Frame, Rendered
+from ggwarp.objects.tentative import View
+from ggwarp.types import Camera, Float64, Frame, Rendered
+
+log = logging.getLogger(__name__)
+
+_FRESH_LIMIT = 2  # one vote more outnumbers all that came before
 
 
 @dataclass(frozen=True)
@@ -43,6 +52,8 @@ class SupervisionConfig:
     """... and so many keyframes voted there."""
     contradiction: int = 3
     """Pixels that contradict the map teach nothing where so many keyframes voted."""
+    joining: JoiningConfig = field(default_factory=JoiningConfig)
+    matching: MatchingConfig = field(default_factory=MatchingConfig)
 
 
 @dataclass(frozen=True)
@@ -61,11 +72,7 @@ class Lesson:
 
 
 class ObjectSupervision:
-    """Turns masks into lessons, and keeps each Gaussian's votes.
-
-    Attributes:
-        history: what the map's objects were called.
-    """
+    """Turns masks into lessons, and keeps each Gaussian's votes."""
 
     def __init__(
         self,
@@ -74,54 +81,80 @@ class ObjectSupervision:
         gaussians: GaussianMap,
         classes: ClassTable,
         classifier: Classifier,
+        *,
+        tracked: bool = True,
     ) -> None:
+        """Prepare to teach ``gaussians``.
+
+        Args:
+            classes: grows with the objects.
+            classifier: grows with them.
+            tracked: whether the masks' ids mean the same object in every frame.
+        """
         self._config = config
         self._map = gaussians
         self._classes = classes
         self._classifier = classifier
         self._device = gaussians.device
-        self._intrinsics = intrinsics_of(camera)
-        self.history = LabelHistory()
+        self._camera, self._intrinsics = camera, intrinsics_of(camera)
+        self._matcher = None if tracked else SegmentMatcher(config.matching, classes)
+        self._history = LabelHistory()
+        self._joining = Joining(config.joining)
 
-    def teach(self, frame: Frame, T_cw: wp.array, rendered: Rendered | None) -> Lesson | None:
+    def teach(self, frame: Frame, T_wc: Float64, rendered: Rendered | None) -> Lesson | None:
         """Let ``frame``'s mask vote, and return what else it teaches; None: nothing at all.
 
         Args:
             frame: the keyframe, with depth.
-            T_cw: [1] mat44, its pose, world to camera.
+            T_wc: [4, 4] its pose.
             rendered: the map's view from there; None while the map is empty.
         """
-        if frame.mask is None:
-            seen = None if rendered is None or self._config.votes == 0 else self._seen(frame, rendered)
-            return None if seen is None else _without_mask(seen)
-        given = self._classes.encode(frame.mask)
-        self._classifier.grow(self._classes.count)
-        if self._config.votes == 0:
-            return Lesson(given, given, given)
-        if rendered is None:
-            return Lesson(given, given, filled(given))
-        return self._weighed(frame, T_cw, rendered, given)
-
-    def _weighed(self, frame: Frame, T_cw: wp.array, rendered: Rendered, given: Labels) -> Lesson:
-        """Hold the mask's classes ``given`` [h, w] against the map, and let the map learn from them."""
         c = self._config
+        seen = None if rendered is None else self._seen(frame, rendered)
+        if frame.mask is None:
+            return None if seen is None or c.votes == 0 else _without_mask(seen)
+        mask = self._understood(frame, T_wc, seen)
+        given = mask.labels
+        self._classifier.grow(self._classes.count)
+        if c.votes == 0:
+            return Lesson(given, given, given)
+        if rendered is None or seen is None:
+            return Lesson(given, given, filled(given))
+        assert rendered.confidence is not None
+        T_cw = wp.array(lie.inverse(T_wc).astype(np.float32)[None], dtype=wp.mat44, device=self._device)
         depth = wp.array(frame.depth, dtype=float, device=self._device)
         evidence = self._evidence(T_cw, depth)
-        assert rendered.confidence is not None
-        sure = np.where(rendered.confidence >= c.sure, self._seen(frame, rendered), IGNORED)
+        sure = np.where(rendered.confidence >= c.sure, seen, IGNORED)
         known = np.where(evidence >= c.evidence, sure, IGNORED)
-        wrong = self.history.overruled(known, given, self._classes.count)
+        wrong = self._history.overruled(known, given, self._classes.count)
         labels = corrected(known, given, wrong) if wrong else given
-        self._fuse(T_cw, depth, labels)
+        self._fuse(T_cw, depth, labels, mask.fresh)
+        self._join(known, mask.segments, frame.index)
         contradicted = (sure >= 0) & (sure != labels) & (evidence >= c.contradiction)
         return Lesson(labels, np.where(contradicted, IGNORED, labels), filled(labels))
 
+    def _understood(self, frame: Frame, T_wc: Float64, seen: Labels | None) -> Understood:
+        assert frame.mask is not None and frame.depth is not None
+        if self._matcher is not None:
+            return self._matcher.match(frame.mask, seen, View(frame.depth, T_wc, self._camera))
+        given = self._classes.encode(frame.mask)
+        return Understood(given, np.where(given == NO_OBJECT, IGNORED, given))
+
+    def _join(self, known: Labels, segments: Labels, index: int) -> None:
+        """Join the objects that frame ``index`` shows to be one."""
+        for kept, gone in self._joining.see(known, segments, own_names=self._matcher is None):
+            ids = self._classes.ids
+            log.info("frame %d: objects %d and %d are one", index, ids[kept], ids[gone])
+            self._classes.join(kept, gone)
+            self._joining.join(kept, gone)
+            self._history.join(kept, gone)
+
     def _seen(self, frame: Frame, rendered: Rendered) -> Labels:
         """Return [h, w] the map's class where it shows the frame's surface, else negative."""
-        assert frame.depth is not None and rendered.objects is not None
+        assert frame.depth is not None and rendered.classes is not None
         same = np.abs(rendered.median_depth - frame.depth) <= self._config.depth_tolerance * frame.depth
         shown = same & (frame.depth > 0.0) & (rendered.opacity > 0.5)
-        return np.where(shown, self._classes.find(rendered.objects), IGNORED)
+        return np.where(shown, self._classes.joined(rendered.classes), IGNORED)
 
     def _evidence(self, T_cw: wp.array, depth: wp.array) -> Any:
         """Return [h, w] how many votes are behind what the map shows."""
@@ -140,7 +173,9 @@ class ObjectSupervision:
         # Centres are sparser than pixels.
         return cv2.dilate(to_host(counts).astype(np.uint8), np.ones((3, 3), np.uint8))
 
-    def _fuse(self, T_cw: wp.array, depth: wp.array, labels: Labels) -> None:
+    def _fuse(self, T_cw: wp.array, depth: wp.array, labels: Labels, fresh: set[int]) -> None:
+        limits = np.full(self._classes.count, self._config.votes, np.int32)
+        limits[list(fresh)] = min(_FRESH_LIMIT, self._config.votes)
         fuse_labels(
             self._map.fields["means"],
             count=self._map.count,
@@ -150,7 +185,7 @@ class ObjectSupervision:
             labels=wp.array(labels, dtype=int, device=self._device),
             codes=wp.array(self._classifier.codes, dtype=vec16, device=self._device),
             tolerance=self._config.depth_tolerance,
-            limit=self._config.votes,
+            limits=wp.array(limits, dtype=int, device=self._device),
             identities=self._map.fields["identities"],
             votes=self._map.fields["votes"],
             device=self._device,

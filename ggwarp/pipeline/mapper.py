@@ -50,7 +50,7 @@ class Mapper:
         classes: the masks' ids as classes.
         classifier: identity -> class; None without identities.
         covisibility: what a pose sees of the map; None without a window.
-        sightings: which keyframes showed which object.
+        sightings: which keyframes showed which class.
         keyframe_indices: frames that were ever used for mapping.
     """
 
@@ -61,6 +61,7 @@ class Mapper:
         *,
         device: Any,
         use_identity: bool,
+        tracked_masks: bool = True,
         window: WindowConfig | None = None,
         recorded: bool | None = None,
     ) -> None:
@@ -68,6 +69,7 @@ class Mapper:
 
         Args:
             camera: of the keyframes' images.
+            tracked_masks: whether the masks' ids mean the same object in every frame.
             window: fit the keyframes of a covisible window together; None: draw from all.
             recorded: record iterations as graphs and replay them; the default does on CUDA alone: on the CPU
                 a recording runs on one thread. The map is the same to the bit.
@@ -83,7 +85,14 @@ class Mapper:
         self.classifier = Classifier(config.classifier, self.map, seed=config.seed) if use_identity else None
         self.sightings = Sightings()
         self._supervision = (
-            ObjectSupervision(config.supervision, camera, self.map, self.classes, self.classifier)
+            ObjectSupervision(
+                config.supervision,
+                camera,
+                self.map,
+                self.classes,
+                self.classifier,
+                tracked=tracked_masks,
+            )
             if self.classifier is not None
             else None
         )
@@ -108,9 +117,9 @@ class Mapper:
         rendered = self.render(T_wc) if self.map.count else None
         lesson = None
         if self._supervision is not None:
-            lesson = self._supervision.teach(frame, self._renderer.pose_array(T_wc), rendered)
+            lesson = self._supervision.teach(frame, T_wc, rendered)
         if lesson is not None:
-            self.sightings.add(frame.index, self.classes.decode(lesson.labels))
+            self.sightings.add(frame.index, lesson.labels)
         density = seed_density(frame, rendered, self._config.seeding)
         batch = seed_gaussians(
             frame,
@@ -154,7 +163,7 @@ class Mapper:
         r = self._renderer
         r.render(T_wc)
         image = r.plane(r.image)
-        identity = objects = confidence = None
+        identity = objects = classes = confidence = None
         opacity = np.float32(1.0) - r.plane(r.transmittance)
         if self.classifier is not None:
             identity = np.ascontiguousarray(image[4:].transpose(1, 2, 0))
@@ -168,6 +177,7 @@ class Mapper:
             opacity=opacity,
             identity=identity,
             objects=objects,
+            classes=classes,
             confidence=confidence,
         )
 
@@ -184,7 +194,8 @@ class Mapper:
             arrays["colours"],
             object_ids,
             names=names,
-            sightings=self.sightings,
+            sources=self.classes.sources(),
+            sightings=self.sightings.renamed(self.classes.ids),
             probabilities=probabilities,
         )
 

@@ -48,6 +48,8 @@ class SlamConfig:
     window: WindowConfig = field(default_factory=WindowConfig)
     use_identity: bool = True
     """Learn which object each Gaussian belongs to (GG-SLAM); False is GS-ICP-SLAM."""
+    tracked_masks: bool = True
+    """The masks' ids mean the same object in every frame; else objects are found again by the map."""
     use_true_poses: bool = False
     """Take poses from the data set instead of tracking (mapping only, for comparison)."""
 
@@ -104,7 +106,12 @@ class Slam:
         self._trackable = TrackableMap(config.trackable, device=device)
         window = config.window if config.policy == "covisibility" else None
         self._mapper = Mapper(
-            config.mapper, camera, device=device, use_identity=config.use_identity, window=window
+            config.mapper,
+            camera,
+            device=device,
+            use_identity=config.use_identity,
+            tracked_masks=config.tracked_masks,
+            window=window,
         )
         look = None if self._mapper.covisibility is None else self._mapper.covisibility.look
         self._policy: KeyframePolicy = (

@@ -2,7 +2,6 @@
 """Labels fused into the Gaussians that a view shows."""
 
 import numpy as np
-import pytest
 import warp as wp
 
 from ggwarp import lie
@@ -69,7 +68,7 @@ def test_labels_are_averaged_into_what_is_shown(rng, device):
         wp.array(means, dtype=wp.vec3, device=device),
         labels=wp.array(labels, device=device),
         codes=wp.array(codes, dtype=vec16, device=device),
-        limit=8,
+        limits=wp.array([8, 8, 3, 1, 8, 8], dtype=int, device=device),
         identities=on_device,
         votes=votes_on_device,
         **arguments(means, depth, device),
@@ -78,7 +77,7 @@ def test_labels_are_averaged_into_what_is_shown(rng, device):
     for i, row, column in shown(means, depth):
         label = labels[row, column]
         if 0 <= label < 6:
-            n = min(votes[i], 7)
+            n = min(votes[i], (8, 8, 3, 1, 8, 8)[label] - 1)
             want[i] += (codes[label] - want[i]) / (n + 1)
             votes[i], changed = n + 1, changed + 1
     assert changed > 100
@@ -98,7 +97,7 @@ def test_the_majority_is_the_nearest_code(rng, device):
             wp.array(means, dtype=wp.vec3, device=device),
             labels=wp.full((30, 40), label, dtype=int, device=device),
             codes=wp.array(codes, dtype=vec16, device=device),
-            limit=8,
+            limits=wp.full(20, 8, dtype=int, device=device),
             identities=identities,
             votes=votes,
             **common,
@@ -125,15 +124,33 @@ def test_evidence_is_the_most_votes_at_a_pixel(rng, device):
     np.testing.assert_array_equal(evidence.numpy(), want)
 
 
-def test_nothing_to_fuse_and_no_vote_that_counts(device):
-    empty = arguments(np.zeros((0, 3), np.float32), np.ones((30, 40), np.float32), device)
-    fields = {
-        "labels": wp.zeros((30, 40), dtype=int, device=device),
-        "codes": wp.zeros(2, dtype=vec16, device=device),
-        "identities": wp.zeros(0, dtype=vec16, device=device),
-        "votes": wp.zeros(0, dtype=int, device=device),
-    }
-    means = wp.zeros(0, dtype=wp.vec3, device=device)
-    fuse_labels(means, limit=1, **fields, **empty)
-    with pytest.raises(ValueError, match="at least one vote"):
-        fuse_labels(means, limit=0, **fields, **empty)
+def test_a_lower_limit_wins_a_gaussian_over_at_once(rng, device):
+    codes = rng.normal(size=(2, 16)).astype(np.float32)
+    means, depth = np.array([[0.0, 0.0, 2.0]], np.float32), np.full((30, 40), 2.0, np.float32)
+    common = arguments(means, depth, device)
+    common["T_cw"] = wp.array(np.eye(4)[None], dtype=wp.mat44, device=device)
+    identities = wp.array(codes[:1], dtype=vec16, device=device)
+    votes = wp.full(1, 8, dtype=int, device=device)
+    for _ in range(2):
+        fuse_labels(
+            wp.array(means, dtype=wp.vec3, device=device),
+            labels=wp.full((30, 40), 1, dtype=int, device=device),
+            codes=wp.array(codes, dtype=vec16, device=device),
+            limits=wp.array([8, 2], dtype=int, device=device),
+            identities=identities,
+            votes=votes,
+            **common,
+        )
+    np.testing.assert_allclose(identities.numpy()[0], 0.25 * codes[0] + 0.75 * codes[1], atol=1e-6)
+
+
+def test_nothing_to_fuse(device):
+    fuse_labels(
+        wp.zeros(0, dtype=wp.vec3, device=device),
+        labels=wp.zeros((30, 40), dtype=int, device=device),
+        codes=wp.zeros(2, dtype=vec16, device=device),
+        limits=wp.full(2, 8, dtype=int, device=device),
+        identities=wp.zeros(0, dtype=vec16, device=device),
+        votes=wp.zeros(0, dtype=int, device=device),
+        **arguments(np.zeros((0, 3), np.float32), np.ones((30, 40), np.float32), device),
+    )

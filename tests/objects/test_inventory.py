@@ -35,6 +35,9 @@ def test_what_the_keyframes_showed():
     sightings.add(4, np.where(mask == 7, 7, 0).astype(np.int32))
     sightings.add(11, np.where(mask == 8, 70, -1).astype(np.int32))
     means = np.zeros((3, 3), np.float32)
+    names = np.arange(71)
+    names[70] = 8
+    sightings = sightings.renamed(names)
     records = inventory(means, means, np.array([7, 8, 9]), sightings=sightings, sources={8: (8, 70)})
     assert [(r.first_frame, r.last_frame, r.views) for r in records] == [
         (4, 30, 2),

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -29,11 +30,43 @@ def test_negative_ids_are_ignored() -> None:
     assert table.decode(np.array([IGNORED, 99])).tolist() == [0, 0]
 
 
-def test_classes_are_found_by_id_without_adding_any() -> None:
+def test_objects_without_an_id_get_the_lowest_free_one() -> None:
     table = ClassTable()
-    table.encode(np.array([[9, 4]], np.int32))  # classes 1 and 2 are in the order of the mask's ids
-    assert table.find(np.array([[9, 0, 4, 5, -3]], np.int32)).tolist() == [[2, 0, 1, IGNORED, IGNORED]]
-    assert table.count == 3
+    table.encode(np.array([[1, 3]], np.int32))
+    first, second = table.begin(), table.begin()
+    assert table.decode(np.array([first, second])).tolist() == [0, 0]
+    assert (table.name(second), table.name(second), table.name(first)) == (2, 2, 4)
+    # A mask's id that is taken by now gets another name, and keeps its source.
+    assert table.decode(table.encode(np.array([[2, 4]], np.int32))).tolist() == [[5, 6]]
+    assert table.sources() == {5: (2,), 6: (4,)}
+    assert table.name(0) == 0
+
+
+def test_joined_classes_go_by_one_id() -> None:
+    table = ClassTable()
+    a, b, c = table.encode(np.array([5, 8, 9], np.int32)).tolist()
+    table.join(a, b)
+    table.join(b, c)
+    assert table.decode(np.array([a, b, c])).tolist() == [5, 5, 5]
+    assert table.encode(np.array([[9, 8, 0, -1]], np.int32)).tolist() == [[a, a, 0, IGNORED]]
+    assert table.joined(np.array([c, 0, IGNORED], np.int32)).tolist() == [a, 0, IGNORED]
+    assert table.sources() == {5: (5, 8, 9)}
+    assert table.ids.tolist() == [0, 5, 5, 5]
+
+
+def test_a_joined_object_keeps_the_name_that_one_of_them_had() -> None:
+    table = ClassTable()
+    nameless, named = table.begin(), table.begin()
+    table.name(named)
+    table.join(nameless, named)
+    assert table.decode(np.array([nameless, named])).tolist() == [1, 1]
+
+
+def test_no_object_is_not_joined() -> None:
+    table = ClassTable()
+    table.encode(np.array([7], np.int32))
+    with pytest.raises(ValueError, match="no object"):
+        table.join(0, 1)
 
 
 @given(st.lists(st.lists(st.integers(0, 100_000), min_size=1, max_size=30), max_size=5))

@@ -100,9 +100,7 @@ def test_contradictions_teach_nothing(device: str, frame: Frame) -> None:
     here &= spoilt == first
     spoilt[here] = second
     view = mapper.render(frame.T_wc)
-    lesson = mapper._supervision.teach(
-        dataclasses.replace(frame, mask=spoilt), mapper._renderer.pose_array(frame.T_wc), view
-    )
+    lesson = mapper._supervision.teach(dataclasses.replace(frame, mask=spoilt), frame.T_wc, view)
     assert lesson is not None
     assert (lesson.targets[here] == -1).mean() > 0.8
     assert (lesson.targets[~here] >= 0).mean() > 0.95
@@ -114,3 +112,33 @@ def test_twice_the_same_to_the_bit(device: str, frame: Frame) -> None:
     one, two = (mapped(device, frame, masks).map.to_host() for _ in range(2))
     for name, values in one.items():
         np.testing.assert_array_equal(values, two[name])
+
+
+def test_ids_shuffled_in_every_frame_are_the_same_objects(device: str, rng: np.random.Generator) -> None:
+    """Two neighbouring frames, three times, with new ids each time: each object is found again."""
+    mapper = Mapper(MapperConfig(), OFFICE.camera, device=device, use_identity=True, tracked_masks=False)
+    frames = [OFFICE[i] for i in (0, 2, 0, 2, 0, 2)]
+    for frame in frames:
+        names = rng.permutation(200)[: frame.mask.max() + 1].astype(np.int32) + 1
+        assert frame.T_wc is not None
+        mapper.insert(dataclasses.replace(frame, mask=names[frame.mask]), frame.T_wc)
+        for _ in range(8):
+            mapper.iterate()
+    view, mask = mapper.render(frames[0].T_wc), frames[0].mask
+    ids, counts = np.unique(mask, return_counts=True)
+    for true in ids[counts > 60]:
+        found, pixels = np.unique(view.objects[mask == true], return_counts=True)
+        assert pixels.max() > 0.7 * pixels.sum() and found[pixels.argmax()] > 0
+    found = np.unique(view.objects)
+    assert found.max() <= mapper.classes.count and len(found) - 1 <= 1.2 * len(ids)
+    assert {r.id for r in mapper.objects({})} <= set(mapper.classes.ids.tolist())
+
+
+def test_an_object_revived_under_another_id_stays_one(device: str, frame: Frame) -> None:
+    first, _, _ = largest(frame.mask)
+    revived = renamed(frame.mask, first, 777)
+    mapper = mapped(device, frame, 3 * [frame.mask] + 3 * [revived])
+    view = mapper.render(frame.T_wc)
+    assert 777 not in view.objects and 777 not in mapper.export().object_ids
+    record = next(r for r in mapper.objects({}) if r.id == first)
+    assert record.source_ids == (first, 777)

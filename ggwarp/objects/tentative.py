@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Segments that may be objects of their own inside what the map takes for one.
+
+A map begun by a mask that runs two objects together, or from too far away to tell a small one, shows the
+wrong object where a later mask has a segment of its own. Such a segment is followed by points on its surface:
+keyframes that show it again speak for it, keyframes that show it as part of the larger object against it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ggwarp.objects.labels import Labels
+from ggwarp.types import Camera, Float32, Float64
+
+_POINTS = 64
+_TOLERANCE = 0.05
+_SEEN = 0.3
+_HIT = 0.6
+
+
+@dataclass(frozen=True)
+class View:
+    """Where a keyframe's pixels are: depth [h, w] in metres, the pose T_wc [4, 4] and the camera."""
+
+    depth: Float32
+    T_wc: Float64
+    camera: Camera
+
+    def points(self, pixels: NDArray[np.bool_], most: int) -> Float64:
+        """Return [k, 3] at ``most`` points of the surface at ``pixels`` [h, w], world frame, evenly drawn."""
+        rows, columns = np.nonzero(pixels & (self.depth > 0.0))
+        chosen = np.linspace(0, len(rows) - 1, min(most, len(rows))).round().astype(int)
+        rows, columns = rows[chosen], columns[chosen]
+        c, z = self.camera, self.depth[rows, columns].astype(np.float64)
+        p = np.stack([(columns - c.cx) / c.fx * z, (rows - c.cy) / c.fy * z, z], axis=1)
+        return p @ self.T_wc[:3, :3].T + self.T_wc[:3, 3]
+
+    def look_up(self, points: Float64, image: Labels) -> Labels:
+        """Return ``image`` [h, w] at those of ``points`` [k, 3] that the view shows."""
+        c = self.camera
+        p = (points - self.T_wc[:3, 3]) @ self.T_wc[:3, :3]
+        p = p[p[:, 2] > 0.0]
+        columns = np.rint(p[:, 0] / p[:, 2] * c.fx + c.cx).astype(int)
+        rows = np.rint(p[:, 1] / p[:, 2] * c.fy + c.cy).astype(int)
+        inside = (columns >= 0) & (rows >= 0) & (columns < c.width) & (rows < c.height)
+        rows, columns, z = rows[inside], columns[inside], p[inside, 2]
+        shown = np.abs(self.depth[rows, columns] - z) <= _TOLERANCE * z
+        return image[rows[shown], columns[shown]]
+
+
+@dataclass(eq=False)
+class Candidate:
+    """A segment that may be an object; ``index`` is its class once it is taken for one."""
+
+    points: Float64
+    count: int = 1
+    index: int | None = None
+
+
+@dataclass
+class Candidates:
+    """Those followed now.
+
+    Attributes:
+        sightings: keyframes that must show one before it is taken for an object.
+    """
+
+    sightings: int
+    _followed: list[Candidate] = field(default_factory=list)
+
+    def follow(
+        self, segments: Labels, open_segments: set[int], view: View | None
+    ) -> list[tuple[int, Candidate]]:
+        """Take in a keyframe; return (segment, candidate) for those that are objects by now.
+
+        Args:
+            segments: [h, w] segment of each pixel; negative: none.
+            open_segments: segments that are no object of the map by themselves.
+            view: where the pixels are; None: nothing is followed.
+        """
+        if view is None:
+            return []
+        found: dict[int, Candidate] = {}
+        for candidate in list(self._followed):
+            segment = _hit(view.look_up(candidate.points, segments), len(candidate.points))
+            if segment is None:
+                continue
+            if segment in open_segments and segment not in found:
+                candidate.count += 1
+                found[segment] = candidate
+            else:
+                candidate.count -= 1
+                if candidate.count < 1:
+                    self._followed.remove(candidate)
+        for segment in sorted(open_segments):
+            points = view.points(segments == segment, _POINTS)
+            if segment in found:
+                found[segment].points = points
+            elif len(points):
+                self._followed.append(Candidate(points))
+        return [(s, c) for s, c in sorted(found.items()) if c.count >= self.sightings]
+
+
+def _hit(labels: Labels, count: int) -> int | None:
+    """Return the segment that most of ``labels`` [k], seen of ``count`` points, show; None: unclear."""
+    if len(labels) < _SEEN * count or len(labels) == 0:
+        return None
+    values, counts = np.unique(labels, return_counts=True)
+    best = int(counts.argmax())
+    return int(values[best]) if counts[best] > _HIT * len(labels) else None
