@@ -35,14 +35,14 @@ class ClassifierConfig:
     """Room for so many classes at first; it grows with the ids."""
     weight: float = 0.1
     """l_obj of the loss (GG-SLAM eq. 5)."""
-    weight_3d: float = 1.0
-    """l_obj3d of the loss."""
+    weight_3d: float = 0.0
+    """l_obj3d of the loss: 1 as published; the mean IoU is no better for it where keyframes vote."""
     rate: float = 5e-4
     """Adam's learning rate of the classifier."""
     shapes: bool = True
     """The cross-entropy's gradient also moves, shapes and fades Gaussians, as published; False: identities
     learn and leave the picture as it is without them."""
-    row_stride: int = 4
+    row_stride: int = 8
     """Cross-entropy is evaluated on every so-manyth image row, from a random first one."""
     interval_3d: int = 5
     """The 3-D term is evaluated every so many iterations."""
@@ -142,8 +142,12 @@ class Classifier:
         c = self._config
         due = self.count > 1 and c.weight_3d != 0.0 and iteration % c.interval_3d == 0
         if due:
-            self._neighbourhood.draw()
+            self.draw_3d()
         return due
+
+    def draw_3d(self) -> None:
+        """Draw the Gaussians of the 3-D term."""
+        self._neighbourhood.draw()
 
     def evaluate_3d(self, renderer: Renderer, losses: wp.array) -> None:
         """Add the 3-D term of the Gaussians drawn to the gradients; after the renderer's adjoint."""

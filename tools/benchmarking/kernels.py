@@ -167,7 +167,7 @@ def _fill(
             rows,
             "GB/s and GFLOP/s of the least traffic and arithmetic that the equations need (see stages.py); "
             f"least ms: at the machine's limits. Cross-entropy and KL: {OBJECTS} objects; "
-            f"KL comes every {_KL_INTERVAL}th iteration only.",
+            f"KL, where it is asked for, comes every {_KL_INTERVAL}th iteration.",
         )
     )
     whole = {name: t for name, t in times.items() if name not in main.stages.works()}

@@ -12,6 +12,7 @@ from ggwarp.kernels.adam import AdamRates
 from ggwarp.kernels.project import LOW_PASS
 from ggwarp.map.gaussians import SH_C0, GaussianBatch
 from ggwarp.objects.classifier import ClassifierConfig, random_identities
+from ggwarp.objects.supervision import SupervisionConfig
 from ggwarp.pipeline.mapper import Mapper, MapperConfig
 from ggwarp.pipeline.seeding import SeedingConfig
 from ggwarp.types import Camera, Float64, Frame
@@ -90,6 +91,7 @@ def scene_mapper(gaussians: GaussianBatch, camera: Camera, *, device: Any) -> tu
         rates=AdamRates(0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
         seeding=SeedingConfig(min_density=0.0, max_density=0.0),
         classifier=ClassifierConfig(rate=0.0),
+        supervision=SupervisionConfig(votes=0),
     )
     mapper = Mapper(config, camera, device=device, use_identity=gaussians.identities is not None)
     mapper.map.append(gaussians)
