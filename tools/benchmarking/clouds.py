@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import importlib
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -52,8 +51,6 @@ class Situation:
 
 def small_gicp_or_none() -> Any:
     """Return the module small_gicp, or None where it is not installed."""
-    # Its threads would spin for a while after each call, on a core that our next one is timed on.
-    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     try:
         return importlib.import_module("small_gicp")
     except ImportError:
