@@ -82,6 +82,28 @@ class Frame:
     true_mask: NDArray[np.int32] | None = None
 
 
+@dataclass(frozen=True)
+class Exposure:
+    """How a picture's colours, 0..1, come from those of the map: e^log_gain x + offset, by channel.
+
+    Attributes:
+        log_gain, offset: red, green, blue; 0 and 0 is the map's own exposure.
+    """
+
+    log_gain: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @classmethod
+    def uniform(cls, log_gain: float, offset: float) -> Exposure:
+        """Return the exposure that treats all channels alike."""
+        return cls((log_gain, log_gain, log_gain), (offset, offset, offset))
+
+    def taken_back(self, rgb: NDArray[np.uint8]) -> Float32:
+        """Return the map's colours [h, w, 3], 0..1, of the picture ``rgb`` [h, w, 3]."""
+        slope, offset = np.exp(np.negative(self.log_gain)) / 255.0, np.array(self.offset)
+        return np.clip(rgb * slope - offset * (slope * 255.0), 0.0, 1.0).astype(np.float32)
+
+
 class Verdict(Enum):
     """What tracking says of a frame's pose."""
 
@@ -109,6 +131,7 @@ class TrackResult:
         distances2: [n] float32 squared distance to the nearest trackable Gaussian after
             registration, m^2; inf where none is within reach.
         pixels: [n, 2] int32 sensor pixel (u, v) each point came from.
+        exposure: of the picture, where tracking looked at it; None: not estimated.
     """
 
     T_wc: Float64
@@ -123,6 +146,7 @@ class TrackResult:
     spreads: Float32 | None = None
     distances2: Float32 | None = None
     pixels: NDArray[np.int32] | None = None
+    exposure: Exposure | None = None
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from ggwarp.pipeline.fitting import FitConfig, Fitter
 from ggwarp.pipeline.seeding import SeedingConfig, seed_density, seed_gaussians
 from ggwarp.pipeline.views import upload
 from ggwarp.pipeline.window import WindowConfig
-from ggwarp.types import Camera, Float32, Float64, Frame, Rendered
+from ggwarp.types import Camera, Exposure, Float32, Float64, Frame, Rendered
 
 
 @dataclass(frozen=True)
@@ -111,8 +111,14 @@ class Mapper:
     def keyframe_indices(self) -> list[int]:
         return [keyframe.index for keyframe in self._fitter.keyframes]
 
-    def insert(self, frame: Frame, T_wc: Float64) -> None:
-        """Make ``frame`` a keyframe and add the Gaussians that it shows and the map lacks."""
+    def insert(self, frame: Frame, T_wc: Float64, exposure: Exposure | None = None) -> None:
+        """Make ``frame`` a keyframe and add the Gaussians that it shows and the map lacks.
+
+        Args:
+            T_wc: [4, 4] its pose.
+            exposure: of its picture as tracking found it, if it did.
+        """
+        exposure = exposure or Exposure()
         assert frame.depth is not None
         rendered = self.render(T_wc) if self.map.count else None
         lesson = None
@@ -120,7 +126,7 @@ class Mapper:
             lesson = self._supervision.teach(frame, T_wc, rendered)
         if lesson is not None:
             self.sightings.add(frame.index, lesson.labels)
-        density = seed_density(frame, rendered, self._config.seeding)
+        density = seed_density(frame, rendered, self._config.seeding, exposure)
         batch = seed_gaussians(
             frame,
             T_wc,
@@ -130,6 +136,7 @@ class Mapper:
             codes=None if self.classifier is None else self.classifier.codes,
             lesson=lesson,
             rng=self._identity_rng,
+            exposure=exposure,
         )
         self.map.append(batch)
         targets = None if lesson is None or frame.mask is None else lesson.targets

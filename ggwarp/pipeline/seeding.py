@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 from ggwarp.map.gaussians import SH_C0, GaussianBatch
 from ggwarp.objects.classifier import random_identities
 from ggwarp.objects.supervision import Lesson
-from ggwarp.types import Camera, Float32, Float64, Frame, Rendered
+from ggwarp.types import Camera, Exposure, Float32, Float64, Frame, Rendered
+
+_NEUTRAL = Exposure()
 
 
 @dataclass(frozen=True)
@@ -48,15 +50,18 @@ class SeedingConfig:
     """Spread of initial identities round their object's code; 1: random, as in GG-SLAM eq. (2)."""
 
 
-def seed_density(frame: Frame, rendered: Rendered | None, config: SeedingConfig) -> Float32:
+def seed_density(
+    frame: Frame, rendered: Rendered | None, config: SeedingConfig, exposure: Exposure = _NEUTRAL
+) -> Float32:
     """Return the density of new Gaussians, [h, w] Gaussians a pixel, 0 where depth is missing.
 
     Args:
         frame: the keyframe, at the map's image size.
         rendered: the map's view from there; None while the map is empty.
+        exposure: of the frame's picture.
     """
     assert frame.depth is not None
-    colour = frame.rgb.astype(np.float32) / 255.0
+    colour = exposure.taken_back(frame.rgb)
     smooth = cv2.GaussianBlur(colour, (0, 0), 1.0)
     contrast = cv2.blur(np.abs(colour - smooth).mean(axis=2), (3, 3))
     fresh = np.clip(config.min_density + config.detail_gain * contrast, 0.0, config.max_density)
@@ -112,6 +117,7 @@ def seed_gaussians(
     codes: Float32 | None,
     lesson: Lesson | None,
     rng: np.random.Generator,
+    exposure: Exposure = _NEUTRAL,
 ) -> GaussianBatch:
     """Return the Gaussians that ``frame`` adds at ``density`` (GG-SLAM 2.3, c).
 
@@ -122,6 +128,7 @@ def seed_gaussians(
         codes: [classes, 16] the identity each class starts from; None without identities.
         lesson: what the frame says of objects; None: nothing.
         rng: draws the identities.
+        exposure: of the frame's picture.
     """
     assert frame.depth is not None
     rows, cols = choose_pixels(density, frame.index)
@@ -143,7 +150,7 @@ def seed_gaussians(
         quats=quats_from_matrices(R @ axes),
         log_scales=np.log(np.maximum(scales, 1e-5)).astype(np.float32),
         opacity_logits=np.full(count, np.log(config.opacity / (1.0 - config.opacity)), np.float32),
-        colours=((frame.rgb[rows, cols] / 255.0 - 0.5) / SH_C0).astype(np.float32),
+        colours=((exposure.taken_back(frame.rgb[rows, cols]) - 0.5) / SH_C0).astype(np.float32),
         identities=None
         if codes is None
         else _identities(codes, None if lesson is None else lesson.seeds[rows, cols], count, config, rng),

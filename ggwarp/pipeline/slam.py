@@ -150,7 +150,7 @@ class Slam:
         lane = self._lanes[1]
         if tracked.kind is not KeyframeKind.NONE:
             with lane:
-                self._mapper.insert(tracked.frame, tracked.result.T_wc)
+                self._mapper.insert(tracked.frame, tracked.result.T_wc, tracked.result.exposure)
         done = 0
         while self._mapper.ready and self._scheduler.wants_more(done, waiting):
             with lane:

@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 
 from ggwarp import lie
+from ggwarp.map.gaussians import SH_C0
 from ggwarp.objects.supervision import Lesson
 from ggwarp.pipeline.seeding import (
     SeedingConfig,
@@ -12,7 +13,7 @@ from ggwarp.pipeline.seeding import (
     seed_gaussians,
     surface_normals,
 )
-from ggwarp.types import Camera, Frame, Rendered
+from ggwarp.types import Camera, Exposure, Frame, Rendered
 
 CAMERA = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
 CONFIG = SeedingConfig()
@@ -143,3 +144,20 @@ def test_quaternions_of_many_rotations(rng: np.random.Generator) -> None:
     quats = quats_from_matrices(R)
     back = np.stack([lie.matrix_from_quat(q) for q in quats])
     np.testing.assert_allclose(back, R, atol=1e-6)
+
+
+def test_seeds_have_the_maps_exposure_not_the_pictures() -> None:
+    rng = np.random.default_rng(4)
+    depth = np.full((48, 64), 2.0, np.float32)
+    true = rng.uniform(0.2, 0.7, (48, 64, 3))
+    exposure = Exposure((0.2, 0.1, -0.3), (0.02, -0.03, 0.05))
+    seen = np.exp(exposure.log_gain) * true + exposure.offset
+    taken = frame(depth, np.rint(255 * seen).astype(np.uint8))
+    density = seed_density(taken, None, CONFIG, exposure)
+    arguments: dict = {"codes": None, "lesson": None, "rng": rng, "exposure": exposure}
+    batch = seed_gaussians(taken, np.eye(4), CAMERA, density, CONFIG, **arguments)
+    rows, cols = choose_pixels(density, taken.index)
+    np.testing.assert_allclose(batch.colours * SH_C0 + 0.5, true[rows, cols], atol=0.004)
+    shown = Rendered(true.astype(np.float32), depth, depth, np.ones_like(depth))
+    assert not seed_density(taken, shown, CONFIG, exposure).any(), "the map explains the picture"
+    assert seed_density(taken, shown, CONFIG).any(), "but not at its own exposure"
