@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from ggwarp.datasets.faults import SensorFaults
 from ggwarp.io.toml import TomlError, merged, read_toml
 from ggwarp.pipeline.keyframes import KeyframeConfig
 from ggwarp.pipeline.mapper import MapperConfig
@@ -89,6 +90,9 @@ class RunConfig:
 
     use_identity: bool = True
     """Learn which object each Gaussian belongs to."""
+
+    built_in: SensorFaults = field(default_factory=SensorFaults)
+    """What is wrong with the camera of a built-in scene (--seq office, wall); without options nothing is."""
 
     gicp: TrackerConfig = field(default_factory=TrackerConfig)
     keyframes: KeyframeConfig = field(default_factory=KeyframeConfig)

@@ -164,9 +164,15 @@ def execute(config: RunConfig, display: Display, interruption: Interruption, sta
     device = device_name(config.device)
     seq = config.seq
     assert seq is not None, "check() has seen to it"
-    dataset = open_dataset(seq, data_root=config.data_root(), masks=config.mask_folder)
+    dataset = open_dataset(
+        seq, data_root=config.data_root(), masks=config.mask_folder, faults=config.built_in
+    )
     if not len(dataset):
         raise DatasetError(f"{config.seq}: the sequence is empty")
+    if dataset.kind != "synthetic" and config.built_in != type(config.built_in)():
+        raise ConfigError(
+            f"--built-in.*: {seq} is a recording; only the built-in office and wall take faults"
+        )
     if not dataset.has_depth:
         raise DatasetError(f"{config.seq}: the sequence has no depth images, which mapping needs")
     indices = frame_indices(config.frames, len(dataset))

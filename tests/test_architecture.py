@@ -26,7 +26,7 @@ ALLOWED: dict[str, set[str]] = {
     "datasets": _BASE | {"kernels"},
     "evaluation": _BASE | {"map"},
     "pipeline": _BASE | {"kernels", "ops", "map", "objects", "evaluation", "io"},
-    "config": {"types", "io", "pipeline"},
+    "config": {"types", "io", "datasets", "pipeline"},
     "console": set(),
     "session": {"types", "kernels", "datasets", "evaluation", "pipeline", "console"},
     "precompile": {"kernels"},

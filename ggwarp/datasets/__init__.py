@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sequences of RGB-D frames: Replica, TUM RGB-D, plain folders, the built-in office."""
+"""Sequences of RGB-D frames: Replica, TUM RGB-D, plain folders, the built-in scenes."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from ggwarp.datasets.base import KINDS, Dataset, DatasetError, FrameError, Kind, Masks, WithoutMasks, register
 
 if TYPE_CHECKING:
+    from ggwarp.datasets.faults import SensorFaults
     from ggwarp.datasets.reader import BadFrame, FrameReader
     from ggwarp.datasets.synthetic import SyntheticOffice
 
@@ -26,8 +27,8 @@ __all__ = [
     "register",
 ]
 
-BUILT_IN = ("office", "synthetic")
-"""Names that always mean the built-in office."""
+BUILT_IN = ("office", "synthetic", "wall")
+"""Names that always mean a built-in scene: the wall, or the office."""
 FALLBACK = "office0"
 """The one sequence that the built-in office stands in for where Replica is absent."""
 
@@ -45,21 +46,24 @@ def __getattr__(name: str) -> Any:
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
-def open_dataset(seq: str, *, data_root: Path, masks: Masks = None) -> Dataset:
+def open_dataset(
+    seq: str, *, data_root: Path, masks: Masks = None, faults: SensorFaults | None = None
+) -> Dataset:
     """Open a sequence by name or path.
 
     Args:
         seq: a name, looked up under ``data_root`` (also in its folders: Replica, TUM, ...), or a
             path. ``office`` is the built-in synthetic office, and so is ``office0`` where there
-            is no Replica.
+            is no Replica; ``wall`` is the built-in wall.
         data_root: folder of the data sets; need not exist.
         masks: folder of the object masks; None: beside the images, if there; "none": not used.
+        faults: of the camera of a built-in scene; None: it has none.
 
     Raises:
         DatasetError: nothing of that name, an unknown layout, or unusable content.
     """
     if seq in BUILT_IN:
-        return _built_in(masks)
+        return _built_in(seq, masks, faults)
     kinds = _kinds()
     candidates = _candidates(seq, Path(data_root))
     folders = [path for path in candidates if path.is_dir()]
@@ -74,7 +78,7 @@ def open_dataset(seq: str, *, data_root: Path, masks: Masks = None) -> Dataset:
     if files:
         raise DatasetError(f"{files[0]}: is a file; --seq takes a sequence's folder or name")
     if seq == FALLBACK:
-        return _built_in(masks)
+        return _built_in(seq, masks, faults)
     raise DatasetError(
         f"{seq}: no such sequence; looked for {', '.join(map(str, candidates))} "
         f"(--data names another data root, tools/download.py fetches one, --seq office is built in)"
@@ -101,14 +105,15 @@ def _candidates(seq: str, root: Path) -> list[Path]:
     return [group / name for name in names for group in groups] + [given]
 
 
-def _built_in(masks: Masks) -> Dataset:
-    from ggwarp.datasets.synthetic import SyntheticOffice
+def _built_in(seq: str, masks: Masks, faults: SensorFaults | None) -> Dataset:
+    from ggwarp.datasets.faults import SensorFaults
+    from ggwarp.datasets.synthetic import SyntheticOffice, SyntheticWall
 
-    office = SyntheticOffice()
+    scene = (SyntheticWall if seq == "wall" else SyntheticOffice)(faults=faults or SensorFaults())
     if masks is None:
-        return office
+        return scene
     if str(masks) == "none":
-        return WithoutMasks(office)
+        return WithoutMasks(scene)
     from ggwarp.datasets.masks import WithMasks, open_masks
 
-    return WithMasks(office, open_masks(Path(masks), office.stems))
+    return WithMasks(scene, open_masks(Path(masks), scene.stems))

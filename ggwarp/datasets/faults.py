@@ -29,7 +29,8 @@ class SensorFaults:
         disparity_step: depth rounded to this step of disparity, pixels (a Kinect: 0.125).
         disparity_constant: focal length times baseline of the depth sensor, pixels metres.
         colour_noise: standard deviation, 8-bit levels.
-        exposure_drift: the gain swings by this share either way, once over the sequence.
+        exposure_drift: the gain swings by this share either way.
+        exposure_swings: how often it does over the sequence.
         seed: of all the randomness.
     """
 
@@ -39,6 +40,7 @@ class SensorFaults:
     disparity_constant: float = 43.5
     colour_noise: float = 0.0
     exposure_drift: float = 0.0
+    exposure_swings: float = 1.0
     seed: int = 0
 
 
@@ -197,7 +199,8 @@ def faulty_colour(rgb: Rgb, faults: SensorFaults, index: int, phase: float) -> R
     rng = np.random.default_rng([faults.seed, 1, index])
     out = rgb
     if faults.exposure_drift > 0:
-        out = exposed(out, 1.0 + faults.exposure_drift * float(np.sin(2.0 * np.pi * phase)))
+        swing = float(np.sin(2.0 * np.pi * faults.exposure_swings * phase))
+        out = exposed(out, 1.0 + faults.exposure_drift * swing)
     if faults.colour_noise > 0:
         out = noisy_colour(out, faults.colour_noise, rng)
     return out

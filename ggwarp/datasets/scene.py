@@ -194,3 +194,17 @@ def device_primitives(
         wp.array(rows[kept], dtype=_PRIMITIVE, device=device),
         wp.array(balls[kept], dtype=wp.vec4, device=device),
     )
+
+
+def looking(heading: float, pitch: float, roll: float) -> NDArray[np.float64]:
+    """Return [3, 3] the axes (columns: right, down, forward) of a camera that looks along ``heading``.
+
+    Args:
+        heading: about the vertical, from east over north, radians.
+        pitch: upwards. roll: to the left about the line of sight.
+    """
+    forward = np.array([np.cos(heading) * np.cos(pitch), np.sin(heading) * np.cos(pitch), np.sin(pitch)])
+    level = np.array([np.sin(heading), -np.cos(heading), 0.0])
+    down = np.cross(forward, level)
+    right = np.cos(roll) * level + np.sin(roll) * down
+    return np.column_stack([right, np.cross(forward, right), forward])

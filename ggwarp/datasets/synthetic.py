@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The built-in office as a data set: rendered on the fly along a closed loop, with exact truth."""
+"""The built-in scenes as data sets: rendered on the fly, with exact truth."""
 
 from __future__ import annotations
 
 import copy
 import threading
-from functools import lru_cache
-from typing import Any
+from collections.abc import Callable
+from functools import lru_cache, partial
+from typing import Any, Literal
 
 import numpy as np
 import warp as wp
@@ -14,7 +15,8 @@ import warp as wp
 from ggwarp.datasets.base import DatasetError
 from ggwarp.datasets.faults import MaskFaults, SensorFaults, faulty_colour, faulty_depth, faulty_mask
 from ggwarp.datasets.office import HEIGHT, LENGTH, WIDTH, build_office
-from ggwarp.datasets.scene import Shape, device_primitives
+from ggwarp.datasets.scene import Shape, device_primitives, looking
+from ggwarp.datasets.wall import build_wall, wall_trajectory
 from ggwarp.kernels import raycast, shading
 from ggwarp.types import Camera, Float64, Frame
 
@@ -23,65 +25,72 @@ FRAME_RATE = 30.0
 _LIGHT_CELL = 0.125
 _BYTE: Any = wp.uint8
 _lock = threading.Lock()
+
+SceneKind = Literal["office", "office with a bare wall", "wall"]
+_SCENES: dict[SceneKind, Callable[[], tuple[list[Shape], dict[int, str]]]] = {
+    "office": build_office,
+    "office with a bare wall": partial(build_office, featureless_wall=True),
+    "wall": build_wall,
+}
 _BARE_VIEW = (1.35, 1.20, 1.40)
 
 
-class SyntheticOffice:
-    """A room of 5.0 x 4.0 x 2.7 m with 48 objects, seen along one loop that ends where it began.
+class SyntheticScene:
+    """A scene of analytic primitives, rendered on the fly along a trajectory.
 
     Frames carry exact z-depth at pixel centres, the ids of :attr:`class_names` at every pixel (structure
     included; faults are the mask's alone, not the true mask's) and the true pose. A frame depends on its
     index and the options alone. Indexing is safe from several threads at once.
     """
 
-    name = "office"
     kind = "synthetic"
     has_depth = True
     has_masks = True
 
     def __init__(
         self,
+        name: str,
+        scene: SceneKind,
+        trajectory: Float64,
         *,
-        frames: int = 120,
         scale: float = 1.0,
         faults: SensorFaults = SensorFaults(),  # noqa: B008 - frozen
         mask_faults: MaskFaults = MaskFaults(),  # noqa: B008 - frozen
         without: tuple[int, ...] = (),
-        featureless_wall: bool = False,
         device: Any = "cpu",
     ) -> None:
         """Lay the scene out; its light is baked with the first frame (half a second).
 
         Args:
-            frames: frames along the loop; the last one's pose is the first one's.
+            trajectory: [frames, 4, 4] camera-to-world poses.
             scale: of Replica's 1200 x 680 camera; frames are rendered at that size.
             faults: of the camera.
             mask_faults: of the object masks.
             without: ids of objects left out; what remains keeps its look, their shadows
                 included, as in a map from which they were removed.
-            featureless_wall: adds a stretch where one bare wall fills the view.
             device: the Warp device that renders.
 
         Raises:
             DatasetError: no frames, a scale out of (0, 4], or an unknown id.
         """
-        if frames < 1:
-            raise DatasetError(f"office: {frames} frames; at least 1 is needed")
+        if not len(trajectory):
+            raise DatasetError(f"{name}: 0 frames; at least 1 is needed")
         if not 0.0 < scale <= 4.0:
-            raise DatasetError(f"office: scale {scale}; it must lie in (0, 4]")
-        shapes, self.class_names = build_office(featureless_wall=featureless_wall)
+            raise DatasetError(f"{name}: scale {scale}; it must lie in (0, 4]")
+        shapes, self.class_names = _SCENES[scene]()
         unknown = sorted(set(without) - set(self.class_names))
         if unknown:
-            raise DatasetError(f"office: without {unknown}; objects are 1 to {len(self.class_names)}")
+            raise DatasetError(f"{name}: without {unknown}; objects are 1 to {len(self.class_names)}")
+        self.name = name
         self.camera = REPLICA_CAMERA.scaled(scale)
         self.faults = faults
         self.mask_faults = mask_faults
-        self.trajectory = loop_trajectory(frames, featureless_wall=featureless_wall)
+        self.trajectory = trajectory
         self.ids = np.array(sorted(set(self.class_names) - set(without)), np.int32)
         self._shapes = shapes
         self._uploaded: tuple[wp.array, wp.array, Any] | None = None
         self._without = without
-        self._featureless_wall = featureless_wall
+        self._kind: SceneKind = scene
         self._device = device
 
     def __len__(self) -> int:
@@ -92,8 +101,8 @@ class SyntheticOffice:
         """Each frame's name, as its mask has it in a folder of masks."""
         return [f"frame{index:06d}" for index in range(len(self))]
 
-    def scaled(self, scale: float) -> SyntheticOffice:
-        """Return the same office seen by a camera of ``scale`` times the size."""
+    def scaled(self, scale: float) -> SyntheticScene:
+        """Return the same scene seen by a camera of ``scale`` times the size."""
         other = copy.copy(self)
         other.camera = self.camera.scaled(scale)
         return other
@@ -101,7 +110,7 @@ class SyntheticOffice:
     def __getitem__(self, index: int) -> Frame:
         """Return frame ``index``, rendered now."""
         if not 0 <= index < len(self):
-            raise IndexError(f"office: frame {index} of {len(self)}")
+            raise IndexError(f"{self.name}: frame {index} of {len(self)}")
         T_wc = self.trajectory[index]
         rgb, depth, mask = self.render(T_wc)
         return Frame(
@@ -150,10 +159,39 @@ class SyntheticOffice:
         with _lock:
             if self._uploaded is None:
                 device = wp.get_device(self._device)
-                light = _baked_light(self._featureless_wall, str(device))
+                light = _baked_light(self._kind, str(device))
                 scene = device_primitives(self._shapes, device=device, without=self._without)
                 self._uploaded = (*scene, light)
         return self._uploaded
+
+
+class SyntheticOffice(SyntheticScene):
+    """A room of 5.0 x 4.0 x 2.7 m with 48 objects, seen along one loop that ends where it began."""
+
+    def __init__(self, *, frames: int = 120, featureless_wall: bool = False, **options: Any) -> None:
+        """Lay the office out.
+
+        Args:
+            frames: frames along the loop; the last one's pose is the first one's.
+            featureless_wall: adds a stretch where one bare wall fills the view.
+            options: see :class:`SyntheticScene`.
+        """
+        trajectory = loop_trajectory(frames, featureless_wall=featureless_wall) if frames > 0 else np.empty(0)
+        scene = "office with a bare wall" if featureless_wall else "office"
+        super().__init__("office", scene, trajectory, **options)
+
+
+class SyntheticWall(SyntheticScene):
+    """One textured plane and nothing else, along which depth images slide freely."""
+
+    def __init__(self, *, frames: int = 60, **options: Any) -> None:
+        """Lay the wall out.
+
+        Args:
+            frames: frames of the camera's swaying.
+            options: see :class:`SyntheticScene`.
+        """
+        super().__init__("wall", "wall", wall_trajectory(frames), **options)
 
 
 def loop_trajectory(frames: int, *, featureless_wall: bool = False) -> Float64:
@@ -184,12 +222,8 @@ def _pose(time: float, featureless_wall: bool) -> Float64:
         position = (1.0 - near) * position + near * np.array(_BARE_VIEW)
         heading = (1.0 - near) * heading + near * 2.5 * np.pi
         pitch *= 1.0 - near
-    forward = np.array([np.cos(heading) * np.cos(pitch), np.sin(heading) * np.cos(pitch), np.sin(pitch)])
-    level = np.array([np.sin(heading), -np.cos(heading), 0.0])
-    down = np.cross(forward, level)
-    right = np.cos(roll) * level + np.sin(roll) * down
     T_wc = np.eye(4)
-    T_wc[:3, :4] = np.column_stack([right, np.cross(forward, right), forward, position])
+    T_wc[:3, :3], T_wc[:3, 3] = looking(heading, pitch, roll), position
     return T_wc
 
 
@@ -201,9 +235,9 @@ def _ray_camera(camera: Camera) -> Any:
 
 
 @lru_cache(maxsize=4)
-def _baked_light(featureless_wall: bool, device: str) -> Any:
+def _baked_light(scene: SceneKind, device: str) -> Any:
     """The lights of the full room: two ceiling panels and the window."""
-    shapes: list[Shape] = build_office(featureless_wall=featureless_wall)[0]
+    shapes = _SCENES[scene]()[0]
     primitives, balls = device_primitives(shapes, device=device)
     cell = _LIGHT_CELL
     light = shading.Light()

@@ -11,6 +11,7 @@ import pytest
 
 from ggwarp.datasets import KINDS, Dataset, DatasetError, Kind, open_dataset, register
 from ggwarp.datasets.base import at_scale
+from ggwarp.datasets.faults import SensorFaults
 from ggwarp.datasets.masks import write_mask
 from ggwarp.datasets.tum import full_name
 
@@ -62,6 +63,17 @@ def test_other_names_are_not_tums() -> None:
 def test_the_built_in_office_needs_no_data(tmp_path: Path, seq: str) -> None:
     dataset = open_dataset(seq, data_root=tmp_path / "absent")
     assert dataset.kind == "synthetic" and dataset.has_masks
+
+
+def test_the_built_in_scenes_take_faults(tmp_path: Path) -> None:
+    for seq in ("office", "wall"):
+        good, dark = (
+            at_scale(open_dataset(seq, data_root=tmp_path, faults=faults), 0.05)
+            for faults in (None, SensorFaults(exposure_drift=0.5))
+        )
+        assert good.name == dark.name == seq
+        last = len(good) * 3 // 4
+        assert dark[last].rgb.mean() < 0.7 * good[last].rgb.mean()
 
 
 def test_the_built_in_office_goes_without_masks_when_told(tmp_path: Path) -> None:

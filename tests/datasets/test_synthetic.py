@@ -10,6 +10,7 @@ import pytest
 from ggwarp.datasets import Dataset, DatasetError, SyntheticOffice
 from ggwarp.datasets.faults import MaskFaults, SensorFaults, quantised_depth
 from ggwarp.datasets.office import HEIGHT, LENGTH, STRUCTURE, WIDTH, build_office
+from ggwarp.datasets.synthetic import SyntheticWall
 from ggwarp.kernels import primitives as prims
 from ggwarp.lie import inverse, so3_log
 
@@ -163,6 +164,24 @@ def test_the_bare_wall_fills_a_view():
     assert np.abs(np.diff(frame.rgb.astype(int), axis=1)).max() < 10
 
 
+def test_the_wall_is_all_there_is_and_a_plane():
+    wall = SyntheticWall(scale=SCALE)
+    assert len(wall) == 60 and wall.name == "wall" and wall.class_names == {1: "wall"}
+    camera = wall.camera
+    v, u = np.mgrid[: camera.height, : camera.width]
+    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], axis=-1)
+    for frame in (wall[i] for i in range(0, 60, 6)):
+        assert np.all(frame.mask == 1)
+        points = (rays * frame.depth[..., None]) @ frame.T_wc[:3, :3].T + frame.T_wc[:3, 3]
+        assert np.ptp(points[..., 1]) < 1e-4, "no relief that would hold a registration of depth"
+        assert frame.rgb.std(axis=(0, 1)).min() > 20.0, "but a print to see"
+    steps = np.array([inverse(a) @ b for a, b in pairwise(wall.trajectory)])
+    assert np.linalg.norm(steps[:, :3, 3], axis=1).max() < 0.045
+    assert np.degrees([np.linalg.norm(so3_log(T[:3, :3])) for T in steps]).max() < 1.0
+    moves = np.diff(wall.trajectory[:, :3, 3], axis=0)
+    assert np.linalg.norm(np.diff(moves, axis=0), axis=1).max() > 0.003, "its speed changes"
+
+
 @pytest.mark.parametrize(
     "options, message",
     [
@@ -218,6 +237,8 @@ def test_colour_noise_and_exposure(office):
     drift = SyntheticOffice(scale=SCALE, faults=SensorFaults(exposure_drift=0.2))
     gains = [drift[i].rgb.mean() / office[i].rgb.mean() for i in (0, 30, 60, 89)]
     assert gains[0] == 1.0 and gains[1] > 1.1 and abs(gains[2] - 1.0) < 0.02 and gains[3] < 0.85
+    faster = SyntheticOffice(scale=SCALE, faults=SensorFaults(exposure_drift=0.2, exposure_swings=2.0))
+    assert faster[45].rgb.mean() / office[45].rgb.mean() < 0.85
 
 
 def test_faults_leave_the_true_mask_alone(views) -> None:
