@@ -44,9 +44,10 @@ INTERRUPTED = 130
 
 RESULTS = {
     "trajectory": ["frames", "frames_lost", "frames_skipped", "ate_rmse_cm", "ate_mean_cm", "rpe_rmse_cm"],
-    "picture, all frames": ["psnr", "ssim", "lpips", "depth_l1_cm"],
+    "picture, all frames": ["psnr", "psnr_exposed", "ssim", "lpips", "depth_l1_cm"],
     "picture, held-out frames": [
         "heldout_psnr",
+        "heldout_psnr_exposed",
         "heldout_ssim",
         "heldout_lpips",
         "heldout_depth_l1_cm",

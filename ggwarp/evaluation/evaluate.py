@@ -21,7 +21,7 @@ from ggwarp.types import Float32, Float64, Frame, Rendered
 
 Reference = Literal["truth", "given"]
 
-_MEASURES = ("psnr", "ssim", "lpips", "depth_l1_cm")
+_MEASURES = ("psnr", "psnr_exposed", "ssim", "lpips", "depth_l1_cm")
 
 
 @dataclass(frozen=True)
@@ -31,12 +31,15 @@ class FrameScore:
     Attributes:
         index: the frame's index in the sequence.
         held_out: whether the frame was never used for mapping.
-        psnr: dB. ssim, lpips: see :mod:`ggwarp.evaluation.image`. depth_l1_cm: centimetres.
+        psnr: dB.
+        psnr_exposed: of the view in the picture's exposure, dB; see :func:`ggwarp.evaluation.image.matched`.
+        ssim, lpips: see :mod:`ggwarp.evaluation.image`. depth_l1_cm: centimetres.
     """
 
     index: int
     held_out: bool
     psnr: float | None
+    psnr_exposed: float | None
     ssim: float | None
     lpips: float | None
     depth_l1_cm: float | None
@@ -48,13 +51,14 @@ class Scores(ObjectFigures):
 
     Attributes:
         frames: how many frames they are over.
-        psnr, ssim, lpips, depth_l1_cm: means of the frames' own.
+        psnr, psnr_exposed, ssim, lpips, depth_l1_cm: means of the frames' own.
 
     The objects' figures are accumulated over the frames' pixels.
     """
 
     frames: int = 0
     psnr: float | None = None
+    psnr_exposed: float | None = None
     ssim: float | None = None
     lpips: float | None = None
     depth_l1_cm: float | None = None
@@ -132,6 +136,7 @@ def _score(frame: Frame, view: Rendered, held_out: bool, lpips: image.Lpips | No
         index=frame.index,
         held_out=held_out,
         psnr=image.psnr(view.rgb, reference, valid),
+        psnr_exposed=image.psnr(image.matched(view.rgb, reference, valid), reference, valid),
         ssim=image.ssim(view.rgb, reference, valid),
         lpips=lpips(view.rgb * shown, reference * shown) if lpips is not None and valid.any() else None,
         depth_l1_cm=None if error is None else 100.0 * error,

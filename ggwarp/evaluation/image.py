@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How close a rendered image is to the photograph: PSNR, SSIM, LPIPS, depth L1.
+"""How close a rendered image is to the photograph: PSNR (also in its exposure), SSIM, LPIPS, depth L1.
 
 As in the papers, only pixels with a depth reading count: PSNR and depth L1 leave the others
 out, SSIM and LPIPS see both images with those pixels set to black.
@@ -40,6 +40,26 @@ def psnr(image: Float32, reference: Float32, valid: Bools) -> float | None:
         return None
     error = float(np.mean((image[valid].astype(np.float64) - reference[valid]) ** 2))
     return float("inf") if error == 0.0 else -10.0 * float(np.log10(error))
+
+
+def matched(image: Float32, reference: Float32, valid: Bools) -> Float32:
+    """Return ``image`` in the exposure of ``reference``: the best gain and offset of each channel.
+
+    Args:
+        image, reference: [h, w, 3] in 0..1.
+        valid: [h, w], where they are compared; without contrast there the gain stays 1.
+
+    Returns:
+        [h, w, 3] in 0..1.
+    """
+    if not valid.any():
+        return image
+    x, y = (i[valid].astype(np.float64) for i in (image, reference))
+    centred = x - x.mean(axis=0)
+    spread = (centred**2).sum(axis=0)
+    gain = np.where(spread > 1e-12, (centred * y).sum(axis=0) / np.maximum(spread, 1e-12), 1.0)
+    offset = y.mean(axis=0) - gain * x.mean(axis=0)
+    return np.clip(image * gain + offset, 0.0, 1.0).astype(np.float32)
 
 
 def ssim(image: Float32, reference: Float32, valid: Bools) -> float | None:

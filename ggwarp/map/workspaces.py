@@ -7,8 +7,8 @@ from typing import Any
 
 import warp as wp
 
-from ggwarp.kernels import identity, identity_kl, ssim
-from ggwarp.kernels.math import vec16
+from ggwarp.kernels import exposure, identity, identity_kl, ssim
+from ggwarp.kernels.math import vec6, vec16
 
 
 def allocate_loss(height: int, width: int, *, device: Any) -> ssim.LossWorkspace:
@@ -21,6 +21,18 @@ def allocate_loss(height: int, width: int, *, device: Any) -> ssim.LossWorkspace
         slopes=wp.zeros(shape, dtype=vec16, device=device),
         partials=wp.zeros(items, dtype=wp.vec4, device=device),
         bins=wp.zeros(ssim.BINS, dtype=wp.vec4, device=device),
+    )
+
+
+def allocate_exposure(
+    height: int, width: int, padded: tuple[int, int], *, device: Any
+) -> exposure.ExposureWorkspace:
+    """Allocate the scratch of exposure for an image of ``height`` x ``width``, ``padded`` (rows, columns)."""
+    row: Any = vec6
+    return exposure.ExposureWorkspace(
+        exposed=wp.zeros((4, *padded), dtype=float, device=device),
+        partials=wp.zeros(exposure.items(height, width, device), dtype=row, device=device),
+        bins=wp.zeros(exposure.BINS, dtype=row, device=device),
     )
 
 

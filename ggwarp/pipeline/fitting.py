@@ -22,8 +22,9 @@ from ggwarp.map.renderer import Renderer
 from ggwarp.map.workspaces import allocate_loss
 from ggwarp.objects.classifier import Classifier, ClassifierConfig
 from ggwarp.pipeline.drawing import Drawing
-from ggwarp.pipeline.views import Keyframe, Stage
-from ggwarp.types import Float64
+from ggwarp.pipeline.exposure import Exposing
+from ggwarp.pipeline.views import EXPOSURE, POSE, Keyframe, Stage
+from ggwarp.types import Exposure, Float64
 
 _RATES = AdamRates(means=2e-4, quats=2e-2, log_scales=2.5e-2, opacity=0.2, colours=1e-2, identities=2.5e-2)
 
@@ -45,6 +46,10 @@ class FitConfig:
     thousands."""
     pose_rates: tuple[float, float] = (0.0, 0.0)
     """Adam's learning rates of the keyframes' poses, metres and radians; 0: poses stay as tracked."""
+    exposure_rate: float = 0.0
+    """Adam's learning rate of the keyframes' exposures; 0: pictures are taken as they are."""
+    exposure_pull: float = 0.01
+    """Weight of an exposure's squared size in the loss: keeps the map's brightness from drifting away."""
     prune_interval: int = 200
     """Prune every so many iterations."""
     prune_opacity: float = 0.005
@@ -85,6 +90,11 @@ class Fitter:
         self._drawing = drawing
         camera = renderer.camera
         self._workspace = allocate_loss(camera.height, camera.width, device=self._device)
+        self._exposing = (
+            Exposing(renderer, rate=config.exposure_rate, pull=config.exposure_pull)
+            if config.exposure_rate > 0.0
+            else None
+        )
         self._losses = wp.zeros(LOSS_COUNT, dtype=float, device=self._device)
         self._loss_weights = wp.array(_loss_weights(config), dtype=float, device=self._device)
         self._totals = wp.zeros(2, dtype=wp.float64, device=self._device)
@@ -106,21 +116,27 @@ class Fitter:
         """Return the camera-to-world pose [4, 4] of keyframe ``number`` as it is now."""
         return lie.inverse(lie.orthonormalised(to_host(self.keyframes[number].T_cw)[0].astype(np.float64)))
 
+    def exposure(self, number: int) -> Exposure:
+        """Return the exposure of keyframe ``number`` as it is now."""
+        values = to_host(self.keyframes[number].exposure)[0].tolist()
+        return Exposure(tuple(values[:3]), tuple(values[3:]))
+
     def iterate(self) -> None:
         """Fit the map to one keyframe once; on CUDA, queue it: the host reads nothing."""
         number = self._drawing.draw()
         keyframe = self.keyframes[number]
         with_3d = self._classifier is not None and self._classifier.begin_3d(self._iterations)
-        # The first keyframe holds the world in place.
+        # The first keyframe holds the world in place, and its brightness.
         with_pose = number > 0 and any(self._config.pose_rates)
+        with_exposure = number > 0 and self._config.exposure_rate > 0.0
+        change = (POSE if with_pose else ()) + (EXPOSURE if with_exposure else ())
         if self._recorded:
             staged = self._stage.load(keyframe)
-            variant = (staged.has_depth, staged.labels is not None, with_3d, with_pose)
-            self._graphs.run(variant, lambda: self._fit(staged, with_3d, with_pose), arrays=self._allocation)
-            if with_pose:
-                self._stage.store_pose(keyframe)
+            variant = (staged.has_depth, staged.labels is not None, with_3d, change)
+            self._graphs.run(variant, lambda: self._fit(staged, with_3d, change), arrays=self._allocation)
+            self._stage.store(keyframe, change)
         else:
-            self._fit(keyframe, with_3d, with_pose)
+            self._fit(keyframe, with_3d, change)
         self._backlog.added()
         self._iterations += 1
         if self._iterations % self._config.prune_interval == 0:
@@ -139,10 +155,16 @@ class Fitter:
         classes = self._classifier.count if self._classifier is not None else 0
         return (self._map.allocation, self._renderer.allocation, classes)
 
-    def _fit(self, keyframe: Keyframe, with_3d: bool, with_pose: bool) -> None:
+    def _fit(self, keyframe: Keyframe, with_3d: bool, change: tuple[str, ...]) -> None:
         """One iteration: render, compare, take the gradient back, step. It only launches: it is recorded."""
+        with_pose = "T_cw" in change
         self._renderer.forward(keyframe.T_cw)
-        self._evaluate(keyframe)
+        if self._exposing is not None and "exposure" in change:
+            self._exposing.show(keyframe)
+            self._evaluate(keyframe, self._exposing.image)
+            self._exposing.step(keyframe)
+        else:
+            self._evaluate(keyframe, self._renderer.image)
         self._renderer.adjoint(keyframe.T_cw, pose=with_pose)
         if self._classifier is not None and with_3d:
             self._classifier.evaluate_3d(self._renderer, self._losses)
@@ -151,11 +173,11 @@ class Fitter:
             self._step_pose(keyframe)
         add_total(self._losses, weights=self._loss_weights, totals=self._totals, device=self._device)
 
-    def _evaluate(self, keyframe: Keyframe) -> None:
-        """Write the loss and its gradient by the image (GG-SLAM eq. 5)."""
+    def _evaluate(self, keyframe: Keyframe, image: wp.array) -> None:
+        """Write the loss and its gradient by ``image``, the render as exposed (GG-SLAM eq. 5)."""
         c = self._config
         rgbd_loss(
-            self._renderer.image,
+            image,
             keyframe.colour,
             keyframe.depth,
             d_image=self._renderer.d_image,

@@ -21,6 +21,7 @@ from ggwarp.objects.registry import NO_OBJECT, ClassTable
 from ggwarp.objects.sightings import Sightings
 from ggwarp.objects.supervision import ObjectSupervision, SupervisionConfig
 from ggwarp.pipeline.drawing import Drawing, RandomDrawing, WindowDrawing
+from ggwarp.pipeline.exposure import estimate_exposure
 from ggwarp.pipeline.fitting import FitConfig, Fitter
 from ggwarp.pipeline.seeding import SeedingConfig, seed_density, seed_gaussians
 from ggwarp.pipeline.views import upload
@@ -118,9 +119,9 @@ class Mapper:
             T_wc: [4, 4] its pose.
             exposure: of its picture as tracking found it, if it did.
         """
-        exposure = exposure or Exposure()
         assert frame.depth is not None
         rendered = self.render(T_wc) if self.map.count else None
+        exposure = self._exposure(frame, rendered, exposure)
         lesson = None
         if self._supervision is not None:
             lesson = self._supervision.teach(frame, T_wc, rendered)
@@ -140,7 +141,7 @@ class Mapper:
         )
         self.map.append(batch)
         targets = None if lesson is None or frame.mask is None else lesson.targets
-        self._fitter.add(upload(frame, T_wc, targets, device=self._device))
+        self._fitter.add(upload(frame, T_wc, targets, exposure, device=self._device))
 
     def iterate(self) -> None:
         """Fit the map to one keyframe once; on CUDA, queue it: the host reads nothing."""
@@ -159,6 +160,10 @@ class Mapper:
         if not self.fits_poses:
             return {}
         return {k.index: self._fitter.pose(number) for number, k in enumerate(self._fitter.keyframes)}
+
+    def keyframe_exposure(self, number: int) -> Exposure:
+        """Return the exposure of keyframe ``number`` (-1: the newest) as it is now."""
+        return self._fitter.exposure(number)
 
     @property
     def fits_poses(self) -> bool:
@@ -212,6 +217,12 @@ class Mapper:
             return None
         weights, biases = self.classifier.to_host()
         return LinearClassifier(weights, biases, self.classes.ids[: self.classifier.count])
+
+    def _exposure(self, frame: Frame, rendered: Rendered | None, tracked: Exposure | None) -> Exposure:
+        """Return where the exposure of a new keyframe starts; the first one has the map's own."""
+        if rendered is None or not self._fitter.keyframes or self._config.exposure_rate <= 0.0:
+            return Exposure()
+        return tracked or estimate_exposure(frame, rendered, self.keyframe_exposure(-1))
 
     def _belongings(self) -> tuple[NDArray[np.int32] | None, Float32 | None]:
         """Return [n] the object of each Gaussian, and [n] how probable that is."""

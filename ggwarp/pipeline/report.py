@@ -61,6 +61,7 @@ FRAME_COLUMNS: tuple[str, ...] = (
     "ate_cm",
     "held_out",
     "psnr",
+    "psnr_exposed",
     "ssim",
     "lpips",
     "depth_l1_cm",
@@ -69,7 +70,7 @@ FRAME_COLUMNS: tuple[str, ...] = (
 
 
 _IMAGE_FIGURES = (
-    *("psnr", "ssim", "lpips", "depth_l1_cm"),
+    *("psnr", "psnr_exposed", "ssim", "lpips", "depth_l1_cm"),
     *("miou", "miou_matched", "miou_interior", "pixel_accuracy"),
 )
 _OBJECT_FIGURES = ("pq", "sq", "rq", "objects_true", "objects_found")  # of all frames alone

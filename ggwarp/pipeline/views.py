@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from ggwarp import lie
 from ggwarp.kernels.math import vec6
-from ggwarp.types import Float64, Frame
+from ggwarp.types import Exposure, Float64, Frame
+
+_NEUTRAL = Exposure()
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,8 @@ class Keyframe:
         has_depth: whether the frame came with depth.
         T_cw: [1] mat44, world to camera.
         pose_moments, pose_steps: [2] vec6 and [1] int, Adam's state of that pose.
+        exposure: [1] vec6, see :mod:`ggwarp.kernels.exposure`; 0: the map's own.
+        exposure_moments, exposure_steps: as those of the pose.
         colour: [h, w, 3] uint8.
         depth: [h, w] float, metres, 0 = none.
         labels: [h, w] int class of each pixel; None where there is no mask.
@@ -34,16 +38,27 @@ class Keyframe:
     T_cw: wp.array
     pose_moments: wp.array
     pose_steps: wp.array
+    exposure: wp.array
+    exposure_moments: wp.array
+    exposure_steps: wp.array
     colour: wp.array
     depth: wp.array
     labels: wp.array | None
 
 
-def upload(frame: Frame, T_wc: Float64, labels: NDArray[np.int32] | None, *, device: Any) -> Keyframe:
+def upload(
+    frame: Frame,
+    T_wc: Float64,
+    labels: NDArray[np.int32] | None,
+    exposure: Exposure = _NEUTRAL,
+    *,
+    device: Any,
+) -> Keyframe:
     """Copy ``frame``, seen from ``T_wc`` [4, 4], to the device.
 
     Args:
         labels: [h, w] class of each pixel; None where there is no mask.
+        exposure: of the picture, where its fit starts.
     """
     T_cw = lie.inverse(T_wc).astype(np.float32)
     depth = np.zeros(frame.rgb.shape[:2], np.float32) if frame.depth is None else frame.depth
@@ -54,13 +69,19 @@ def upload(frame: Frame, T_wc: Float64, labels: NDArray[np.int32] | None, *, dev
         T_cw=wp.array(T_cw[None], dtype=wp.mat44, device=device),
         pose_moments=wp.zeros(2, dtype=row, device=device),
         pose_steps=wp.zeros(1, dtype=wp.int32, device=device),
+        exposure=wp.array([[*exposure.log_gain, *exposure.offset]], dtype=row, device=device),
+        exposure_moments=wp.zeros(2, dtype=row, device=device),
+        exposure_steps=wp.zeros(1, dtype=wp.int32, device=device),
         colour=wp.array(frame.rgb, dtype=wp.uint8, device=device),
         depth=wp.array(depth, dtype=float, device=device),
         labels=None if labels is None else wp.array(labels, dtype=int, device=device),
     )
 
 
-_POSE = ("T_cw", "pose_moments", "pose_steps")
+POSE = ("T_cw", "pose_moments", "pose_steps")
+"""What a step of the pose changes."""
+EXPOSURE = ("exposure", "exposure_moments", "exposure_steps")
+"""What a step of the exposure changes."""
 
 
 class Stage:
@@ -81,7 +102,7 @@ class Stage:
                 staged[name] = self._arrays[name]
         return replace(keyframe, **staged)
 
-    def store_pose(self, keyframe: Keyframe) -> None:
-        """Copy the pose and its state, which the recorded work changed, back to ``keyframe``."""
-        for name in _POSE:
+    def store(self, keyframe: Keyframe, names: tuple[str, ...]) -> None:
+        """Copy the arrays ``names``, which the recorded work changed, back to ``keyframe``."""
+        for name in names:
             wp.copy(getattr(keyframe, name), self._arrays[name])

@@ -28,6 +28,22 @@ def test_psnr_leaves_invalid_pixels_out(pair):
     assert image.psnr(spoilt, reference, valid) == image.psnr(noisy, reference, valid)
 
 
+def test_matched_finds_gain_and_offset_of_each_channel(rng):
+    seen = rng.uniform(0.2, 0.6, (20, 30, 3)).astype(np.float32)
+    valid = rng.random((20, 30)) < 0.7
+    reference = (seen * np.float32([1.2, 0.9, 1.1]) + np.float32([0.02, 0.1, -0.1])).astype(np.float32)
+    spoilt = np.where(valid[..., None], reference, 1.0).astype(np.float32)
+    np.testing.assert_allclose(image.matched(seen, spoilt, valid)[valid], reference[valid], atol=1e-6)
+    assert image.psnr(image.matched(seen, spoilt, valid), spoilt, valid) > 100.0
+
+
+def test_matched_survives_pictures_without_contrast_or_pixels():
+    grey, darker = (np.full((4, 4, 3), v, np.float32) for v in (0.5, 0.3))
+    everywhere = np.ones((4, 4), bool)
+    np.testing.assert_allclose(image.matched(grey, darker, everywhere), darker, atol=1e-7)
+    np.testing.assert_array_equal(image.matched(grey, darker, ~everywhere), grey)
+
+
 def test_ssim_against_its_definition(pair):
     noisy, reference = (p.astype(np.float64) for p in pair)
     offsets = np.arange(-5, 6)

@@ -55,9 +55,21 @@ def record() -> report.RunRecord:
 
 def test_metrics(record):
     record.evaluation = Evaluation(
-        Scores(3, 30.0, 0.9, None, 1.0, miou=0.8, miou_matched=0.85, pq=0.7, objects_true=4, objects_found=5),
+        Scores(
+            3,
+            30.0,
+            30.5,
+            0.9,
+            None,
+            1.0,
+            miou=0.8,
+            miou_matched=0.85,
+            pq=0.7,
+            objects_true=4,
+            objects_found=5,
+        ),
         Scores(1, 28.0, miou_interior=0.9),
-        [FrameScore(0, False, 30.0, 0.9, None, 1.0)],
+        [FrameScore(0, False, 30.0, 30.5, 0.9, None, 1.0)],
         "truth",
     )
     metrics = report.metrics_of(record, wall_s=9.0, gaussians=123)
@@ -119,7 +131,7 @@ def test_no_truth_no_file(record, tmp_path):
 
 
 def test_a_row_for_every_frame(record, tmp_path):
-    record.evaluation = Evaluation(per_frame=[FrameScore(2, True, 31.5, 0.9, None, 1.2)])
+    record.evaluation = Evaluation(per_frame=[FrameScore(2, True, 31.5, 32.0, 0.9, None, 1.2)])
     report.write_frames(tmp_path, record)
     with (tmp_path / "frames.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
