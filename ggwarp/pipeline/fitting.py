@@ -13,6 +13,7 @@ from ggwarp import lie
 from ggwarp.kernels.adam import AdamRates, adam_gaussians
 from ggwarp.kernels.compact import flag_kept
 from ggwarp.kernels.graph import GraphCache
+from ggwarp.kernels.isotropy import pull_round
 from ggwarp.kernels.loss import DEPTH, DSSIM, L1, LOSS_COUNT, OBJECT, OBJECT_3D, add_total, rgbd_loss
 from ggwarp.kernels.math import vec16
 from ggwarp.kernels.pose import step_pose
@@ -41,6 +42,9 @@ class FitConfig:
     """l_d of the loss; the paper's 0.1 leaves surfaces free to drift along the view for colour's sake."""
     depth_max: float = 10.0
     """Depth unit of eq. 7, metres."""
+    isotropic_weight: float = 0.0
+    """Pull towards round Gaussians: loss by a pixel's share of each, per metre that its axes differ (MonoGS
+    eq. 10 has 10, by each Gaussian's share); not in the reported loss."""
     rates: AdamRates = _RATES
     """Adam's learning rates: larger than GS-ICP-SLAM's, as each Gaussian gets tens of steps here, not
     thousands."""
@@ -168,6 +172,8 @@ class Fitter:
         self._renderer.adjoint(keyframe.T_cw, pose=with_pose)
         if self._classifier is not None and with_3d:
             self._classifier.evaluate_3d(self._renderer, self._losses)
+        if self._config.isotropic_weight > 0.0:
+            self._pull_round()
         self._step()
         if with_pose:
             self._step_pose(keyframe)
@@ -192,6 +198,16 @@ class Fitter:
         )
         if self._classifier is not None:
             self._classifier.evaluate(self._renderer, keyframe.labels, self._losses)
+
+    def _pull_round(self) -> None:
+        camera, rows = self._renderer.camera, self._renderer.rows
+        pull_round(
+            self._map.parameters.log_scales,
+            ranks=self._renderer.ranks,
+            weight=self._config.isotropic_weight / (camera.width * camera.height),
+            d_log_scales=self._renderer.gradients.log_scales[:rows],
+            device=self._device,
+        )
 
     def _step(self) -> None:
         adam_gaussians(

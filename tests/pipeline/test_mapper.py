@@ -162,6 +162,20 @@ def test_recorded_iterations_are_the_direct_ones_to_the_bit(
     assert any(mappers[1]._fitter._graphs._graphs.values()), "recorded"
 
 
+def test_the_isotropic_term_keeps_gaussians_round(device: str, frame: Frame) -> None:
+    def stretch(weight: float) -> float:
+        mapper = made(device, MapperConfig(isotropic_weight=weight), use_identity=False)
+        assert frame.T_wc is not None
+        mapper.insert(frame, frame.T_wc)
+        for _ in range(40):
+            mapper.iterate()
+        mapper.settle()
+        log_scales = mapper.map.to_host()["log_scales"]
+        return float(np.median(np.ptp(log_scales, axis=1)))
+
+    assert stretch(100.0) < 0.7 * stretch(0.0)
+
+
 def test_a_keyframe_s_pose_is_fitted_with_the_map(device: str, frame: Frame) -> None:
     mapper = made(device, MapperConfig(pose_rates=(1e-3, 1e-3)), use_identity=False)
     assert frame.T_wc is not None
