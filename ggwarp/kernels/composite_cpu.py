@@ -10,7 +10,6 @@ import warp as wp
 from ggwarp.kernels.composite_patches import (
     ALPHA_MAX,
     DEPTH,
-    OPTIONS,
     TILES,
     TRANSMITTANCE_MIN,
     aligned,
@@ -23,10 +22,10 @@ from ggwarp.kernels.composite_patches import (
     patch_x,
     patch_y,
 )
-from ggwarp.kernels.math import vec16
+from ggwarp.kernels.math import VECTOR_OPTIONS, vec16
 from ggwarp.kernels.project import LOG_ALPHA_MIN
 
-wp.set_module_options(OPTIONS)
+wp.set_module_options(VECTOR_OPTIONS)
 
 CHUNK = 128
 """Splats that are listed at a time."""

@@ -17,7 +17,6 @@ import warp as wp
 from ggwarp.kernels.composite_cpu_steps import make_load_tile, make_passes, make_turn_patch, mat16, mat16x8
 from ggwarp.kernels.composite_patches import (
     DEPTH,
-    OPTIONS,
     TILES,
     TRANSMITTANCE_MIN,
     aligned,
@@ -29,9 +28,9 @@ from ggwarp.kernels.composite_patches import (
     shape_gradients,
     vec8,
 )
-from ggwarp.kernels.math import vec16
+from ggwarp.kernels.math import VECTOR_OPTIONS, vec16
 
-wp.set_module_options(OPTIONS)
+wp.set_module_options(VECTOR_OPTIONS)
 
 CHUNK = 64
 """Splats that are listed at a time."""

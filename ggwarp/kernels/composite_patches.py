@@ -17,15 +17,6 @@ from ggwarp.kernels.math import vec16
 
 wp.set_module_options({"enable_backward": False})
 
-OPTIONS = {
-    "enable_backward": False,
-    "optimization_level": 3,
-    "max_unroll": 32,
-    # Multiply-adds form only where contraction may cross Warp's small functions.
-    "cpu_compiler_flags": "-march=native -mllvm=-inline-threshold=9000 -ffp-contract=fast",
-}
-"""Module options of the kernels made of these pieces."""
-
 TILES = 4
 """Tiles in a task: its scratch is cleared once."""
 

@@ -26,6 +26,7 @@ ONE_DEVICE = {
     "composite_cpu_adjoint": "cpu",
     "composite_cuda": "cuda",
     "identity_pixels": "cuda",
+    "loss_rows": "cpu",
     "tiles_parallel": "cuda",
 }
 """Modules whose kernels run on one kind of device only."""

@@ -8,13 +8,17 @@ term uses the same mask. Means are over *all* H W (3) values, masked ones includ
 papers' code.
 """
 
+from __future__ import annotations
+
 from typing import Any
 
 import warp as wp
 
 from ggwarp.kernels import ssim
 from ggwarp.kernels.launch import launch_split
+from ggwarp.kernels.loss_rows import rgbd_loss_by_rows
 from ggwarp.kernels.math import vec16
+from ggwarp.kernels.pixel_lines import RowWorkspace
 from ggwarp.kernels.ssim import REACH, LossWorkspace, pack_statistics
 
 wp.set_module_options({"enable_backward": False})
@@ -109,7 +113,7 @@ def rgbd_loss(
     *,
     d_image: Any,
     losses: Any,
-    workspace: LossWorkspace,
+    workspace: LossWorkspace | RowWorkspace,
     colour_weight: float = 1.0,
     dssim: float = 0.2,
     depth_weight: float = 0.1,
@@ -125,12 +129,27 @@ def rgbd_loss(
         depth: [H, W] target depth, metres; not in the mask where 0, NaN or infinite.
         d_image: [C, Hp, Wp]; planes 0-3 are written, zeros in the padding.
         losses: [LOSS_COUNT]; L1, DSSIM, DEPTH and MASKED are written, unweighted.
-        workspace: scratch of this [H, W].
+        workspace: scratch of this [H, W]; its kind decides how the work is cut.
         colour_weight, dssim, depth_weight: l_rgb, l_dssim and l_d of eqs. 5-6.
         d_max: depth unit of eq. 7, metres.
         mask_colour: False compares colour also where there is no depth.
         device: a Warp device.
     """
+    l1_weight, ssim_weight = colour_weight * (1.0 - dssim), -colour_weight * dssim
+    if isinstance(workspace, RowWorkspace):
+        rgbd_loss_by_rows(
+            *(image, colour, depth),
+            d_image=d_image,
+            losses=losses,
+            workspace=workspace,
+            l1_weight=l1_weight,
+            ssim_weight=ssim_weight,
+            depth_weight=depth_weight,
+            d_max=d_max,
+            mask_colour=mask_colour,
+            device=device,
+        )
+        return
     height, width = colour.shape[0], colour.shape[1]
     with_depth = image.shape[0] > 3
     pieces = ssim.pieces_per_row(width, device)
@@ -147,8 +166,8 @@ def rgbd_loss(
     ssim.compare_adjoint(
         height=height,
         width=width,
-        l1_weight=colour_weight * (1.0 - dssim),
-        ssim_weight=-colour_weight * dssim,
+        l1_weight=l1_weight,
+        ssim_weight=ssim_weight,
         d_image=d_image,
         workspace=workspace,
         device=device,

@@ -5,6 +5,15 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
+VECTOR_OPTIONS = {
+    "enable_backward": False,
+    "optimization_level": 3,
+    "max_unroll": 32,
+    # Multiply-adds form only where contraction may cross Warp's small functions.
+    "cpu_compiler_flags": "-march=native -mllvm=-inline-threshold=9000 -ffp-contract=fast",
+}
+"""Module options of CPU kernels that work on whole vectors."""
+
 vec16 = wp.types.vector(16, wp.float32)
 """A 16-D identity, or a tile row of 16 pixels."""
 

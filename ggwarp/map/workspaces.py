@@ -9,10 +9,30 @@ import warp as wp
 
 from ggwarp.kernels import exposure, identity, identity_kl, ssim
 from ggwarp.kernels.math import vec6, vec16
+from ggwarp.kernels.pixel_lines import BAND, RowWorkspace, lines_per_row
 
 
-def allocate_loss(height: int, width: int, *, device: Any) -> ssim.LossWorkspace:
-    """Allocate the scratch of the colour and depth losses for an image of ``height`` x ``width``."""
+def allocate_loss(
+    height: int, width: int, *, device: Any, by_rows: bool | None = None
+) -> ssim.LossWorkspace | RowWorkspace:
+    """Allocate the scratch of the colour and depth losses for an image of ``height`` x ``width``.
+
+    Args:
+        by_rows: take the form for a CPU; the default does on the CPU alone.
+    """
+    if wp.get_device(device).is_cpu if by_rows is None else by_rows:
+        rows, lines = -(-height // BAND) * BAND, lines_per_row(width)
+
+        def planes(count: int, tall: int) -> Any:
+            return wp.zeros((count, tall, lines), dtype=vec16, device=device)
+
+        return RowWorkspace(
+            colours=planes(7, rows),
+            means=planes(12, rows + 2 * ssim.REACH),
+            slopes=planes(9, rows),
+            slope_means=planes(9, rows + 2 * ssim.REACH),
+            partials=wp.zeros(rows, dtype=wp.vec4, device=device),
+        )
     shape = (height + 2 * ssim.REACH, width + 2 * ssim.REACH)
     items = height * ssim.pieces_per_row(width, device)
     return ssim.LossWorkspace(

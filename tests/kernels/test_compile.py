@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every kernel module compiles for the GPUs in use; neither a GPU nor a driver is needed."""
+"""Every kernel module that a GPU runs compiles for those in use; neither a GPU nor a driver is needed."""
 
 import pytest
 import warp as wp
@@ -9,15 +9,22 @@ from ggwarp.kernels import loading
 MODULES = loading.all_kernel_modules()
 
 
+def _name(module):
+    return module.name.rsplit(".", 1)[-1]
+
+
+ON_CUDA = [m for m in MODULES if loading.ONE_DEVICE.get(_name(m)) != "cpu"]
+
+
 def test_modules_are_found():
-    names = {m.name.rsplit(".", 1)[-1] for m in MODULES}
+    names = {_name(m) for m in MODULES}
     assert {"gicp", "project", "tiles", "ssim", "adam"} <= names
     assert sum(name.startswith("composite") for name in names) >= 2, "forward and adjoint"
     assert "math" not in names, "a module of functions alone needs no binary of its own"
 
 
 @pytest.mark.parametrize("arch", [80, 90])
-@pytest.mark.parametrize("module", MODULES, ids=lambda m: m.name.rsplit(".", 1)[-1])
+@pytest.mark.parametrize("module", ON_CUDA, ids=_name)
 def test_compiles_for_cuda(module, arch, tmp_path):
     artefacts = wp.compile_aot_module(module, arch=arch, module_dir=tmp_path)
     assert artefacts and all(path.stat().st_size > 0 for path in artefacts)

@@ -34,7 +34,7 @@ def scene(rng, height, width, channels=4, holes=0.2):
     return image, colour, depth
 
 
-def run(image, colour, depth, device, **options):
+def run(image, colour, depth, device, *, by_rows=None, **options):
     d_image = wp.full(image.shape, 7.0, dtype=wp.float32, device=device)
     losses = wp.zeros(loss.LOSS_COUNT, dtype=wp.float32, device=device)
     loss.rgbd_loss(
@@ -43,7 +43,7 @@ def run(image, colour, depth, device, **options):
         wp.array(depth, device=device),
         d_image=d_image,
         losses=losses,
-        workspace=allocate_loss(*depth.shape, device=device),
+        workspace=allocate_loss(*depth.shape, device=device, by_rows=by_rows),
         device=device,
         **{**WEIGHTS, **options},
     )
@@ -73,9 +73,10 @@ def assert_gradient(got, want, tolerance=1e-3):
 
 @pytest.mark.parametrize("mask_colour", [True, False])
 @pytest.mark.parametrize("channels", [3, 4, 20])
-def test_matches_the_oracle(rng, device, channels, mask_colour):
+@pytest.mark.parametrize("by_rows", [None, False], ids=["default", "as on CUDA"])
+def test_matches_the_oracle(rng, device, by_rows, channels, mask_colour):
     image, colour, depth = scene(rng, 37, 45, channels)
-    losses, d_image = run(image, colour, depth, device, mask_colour=mask_colour)
+    losses, d_image = run(image, colour, depth, device, mask_colour=mask_colour, by_rows=by_rows)
     want, gradient = oracle(image, colour, depth, mask_colour)
     np.testing.assert_allclose(losses[:4], want, rtol=2e-5, atol=1e-6)
     planes = min(channels, 4)
@@ -182,11 +183,14 @@ def test_threads_do_not_change_a_bit(rng):
         np.testing.assert_array_equal(a, b)
 
 
-def test_single_pixel_items_give_the_same(rng, monkeypatch):
-    """The cut that CUDA uses, run on the CPU."""
+def test_forms_agree(rng, device, monkeypatch):
+    """Rows as on the CPU; pixels, cut into rows and singly, as on CUDA."""
     image, colour, depth = scene(rng, 40, 50)
     rows = run(image, colour, depth, "cpu")
+    uncut = run(image, colour, depth, device, by_rows=False)
     monkeypatch.setattr(loss.ssim, "pieces_per_row", lambda width, device: width)
-    pixels = run(image, colour, depth, "cpu")
-    np.testing.assert_array_equal(pixels[1], rows[1])
-    np.testing.assert_allclose(pixels[0], rows[0], rtol=1e-5)
+    pixels = run(image, colour, depth, device, by_rows=False)
+    np.testing.assert_array_equal(pixels[1], uncut[1])
+    for other in (pixels, uncut):
+        np.testing.assert_allclose(other[0], rows[0], rtol=1e-5)
+        assert_gradient(other[1][:4, :40, :50], rows[1][:4, :40, :50].astype(np.float64), 1e-4)
