@@ -60,6 +60,10 @@ class RunConfig:
     out: Path | None = None
     """Run folder; default: runs/SEQ/UTC-TIME, linked as runs/latest."""
 
+    intrinsics: tuple[float, float, float, float] | None = None
+    """fx fy cx cy of one's own recording, in pixels of its native size (integers are pixel centres); default:
+    its camera file's."""
+
     device: str = "auto"
     """auto (CUDA if there is one), cpu or cuda:N."""
 

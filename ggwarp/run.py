@@ -166,7 +166,11 @@ def execute(config: RunConfig, display: Display, interruption: Interruption, sta
     seq = config.seq
     assert seq is not None, "check() has seen to it"
     dataset = open_dataset(
-        seq, data_root=config.data_root(), masks=config.mask_folder, faults=config.built_in
+        seq,
+        data_root=config.data_root(),
+        masks=config.mask_folder,
+        faults=config.built_in,
+        intrinsics=config.intrinsics,
     )
     if not len(dataset):
         raise DatasetError(f"{config.seq}: the sequence is empty")

@@ -23,6 +23,7 @@ def test_saved_configurations_come_back(name, tmp_path):
     config = dataclasses.replace(
         c.preset_config(name), seq="a/b", data=Path("x y"), scale=0.25, frames=":9", save_renders=3
     )
+    config = dataclasses.replace(config, intrinsics=(500.0, 501.5, 319.5, 239.5))
     write_toml(config, tmp_path / "config.toml")
     assert c.load_config(tmp_path / "config.toml") == config
 

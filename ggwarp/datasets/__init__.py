@@ -7,9 +7,20 @@ import importlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ggwarp.datasets.base import KINDS, Dataset, DatasetError, FrameError, Kind, Masks, WithoutMasks, register
+from ggwarp.datasets.base import (
+    KINDS,
+    Dataset,
+    DatasetError,
+    FrameError,
+    Kind,
+    Masks,
+    WithoutDepth,
+    WithoutMasks,
+    register,
+)
 
 if TYPE_CHECKING:
+    from ggwarp.datasets.calibration import Intrinsics
     from ggwarp.datasets.faults import SensorFaults
     from ggwarp.datasets.reader import BadFrame, FrameReader
     from ggwarp.datasets.synthetic import SyntheticOffice
@@ -23,6 +34,7 @@ __all__ = [
     "FrameReader",
     "Kind",
     "SyntheticOffice",
+    "WithoutDepth",
     "open_dataset",
     "register",
 ]
@@ -47,7 +59,12 @@ def __getattr__(name: str) -> Any:
 
 
 def open_dataset(
-    seq: str, *, data_root: Path, masks: Masks = None, faults: SensorFaults | None = None
+    seq: str,
+    *,
+    data_root: Path,
+    masks: Masks = None,
+    faults: SensorFaults | None = None,
+    intrinsics: Intrinsics | None = None,
 ) -> Dataset:
     """Open a sequence by name or path.
 
@@ -58,25 +75,30 @@ def open_dataset(
         data_root: folder of the data sets; need not exist.
         masks: folder of the object masks; None: beside the images, if there; "none": not used.
         faults: of the camera of a built-in scene; None: it has none.
+        intrinsics: fx, fy, cx, cy of one's own recording, in pixels of its native size; None: it says so.
 
     Raises:
         DatasetError: nothing of that name, an unknown layout, or unusable content.
     """
     if seq in BUILT_IN:
+        _no_intrinsics(seq, intrinsics)
         return _built_in(seq, masks, faults)
     kinds = _kinds()
     candidates = _candidates(seq, Path(data_root))
     folders = [path for path in candidates if path.is_dir()]
     for path in folders:
         for kind in kinds:
+            if kind.recognises(path) and kind.takes_intrinsics:
+                return kind.open(path, masks, intrinsics)
             if kind.recognises(path):
+                _no_intrinsics(f"{path} ({kind.name})", intrinsics)
                 return kind.open(path, masks)
     if folders:
         layouts = "; ".join(f"{kind.name}: {kind.layout}" for kind in kinds)
         raise DatasetError(f"{folders[0]}: holds no sequence that is recognised ({layouts})")
     files = [path for path in candidates if path.is_file()]
     if files:
-        raise DatasetError(f"{files[0]}: is a file; --seq takes a sequence's folder or name")
+        return _video(files[0], intrinsics)
     if seq == FALLBACK:
         return _built_in(seq, masks, faults)
     raise DatasetError(
@@ -103,6 +125,22 @@ def _candidates(seq: str, root: Path) -> list[Path]:
     if root.is_dir():
         groups += sorted(path for path in root.iterdir() if path.is_dir() and path not in groups)
     return [group / name for name in names for group in groups] + [given]
+
+
+def _no_intrinsics(what: str, intrinsics: Intrinsics | None) -> None:
+    if intrinsics is not None:
+        raise DatasetError(f"--intrinsics: the camera of {what} is known; leave the option out")
+
+
+def _video(path: Path, intrinsics: Intrinsics | None) -> Dataset:
+    from ggwarp.datasets.video import VIDEO_SUFFIXES, VideoSequence
+
+    if path.suffix.lower() not in VIDEO_SUFFIXES:
+        raise DatasetError(
+            f"{path}: is a file; --seq takes a sequence's folder or name, "
+            f"or a video ({', '.join(VIDEO_SUFFIXES)})"
+        )
+    return VideoSequence(path, intrinsics)
 
 
 def _built_in(seq: str, masks: Masks, faults: SensorFaults | None) -> Dataset:

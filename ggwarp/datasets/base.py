@@ -25,7 +25,7 @@ class Dataset(Protocol):
 
     Attributes:
         name: the sequence's name.
-        kind: "replica", "tum", "folder" or "synthetic".
+        kind: "replica", "tum", "folder", "video" or "synthetic".
         camera: the camera of every frame, at its native size.
         has_depth: whether frames carry depth.
         has_masks: whether frames carry object masks (single ones may still be missing).
@@ -70,6 +70,23 @@ class WithoutMasks:
         return replace(self.inner[index], mask=None, true_mask=None)
 
 
+class WithoutDepth:
+    """A data set as it is, but for its depth."""
+
+    has_depth = False
+
+    def __init__(self, dataset: Dataset) -> None:
+        self.name, self.kind, self.camera = dataset.name, dataset.kind, dataset.camera
+        self.has_masks = dataset.has_masks
+        self.inner = dataset
+
+    def __len__(self) -> int:
+        return len(self.inner)
+
+    def __getitem__(self, index: int) -> Frame:
+        return replace(self.inner[index], depth=None, sensor_depth=None, depth_timestamp=None)
+
+
 @runtime_checkable
 class Scalable(Protocol):
     """A data set that renders its frames, and so gives them at any size without resampling."""
@@ -81,8 +98,8 @@ class Scalable(Protocol):
 
 def at_scale(dataset: Dataset, scale: float) -> Dataset:
     """Return ``dataset`` at ``scale`` where it renders its frames, else as it is."""
-    if isinstance(dataset, WithoutMasks):
-        return WithoutMasks(at_scale(dataset.inner, scale))
+    if isinstance(dataset, (WithoutMasks, WithoutDepth)):
+        return type(dataset)(at_scale(dataset.inner, scale))
     return dataset.scaled(scale) if isinstance(dataset, Scalable) else dataset
 
 
@@ -99,12 +116,14 @@ class Kind:
         layout: what marks such a folder, for messages.
         recognises: whether a folder is of this kind; only looks at names.
         open: opens a folder of this kind; raises DatasetError.
+        takes_intrinsics: whether ``open`` takes the camera's, or None, as a third argument.
     """
 
     name: str
     layout: str
     recognises: Callable[[Path], bool]
-    open: Callable[[Path, Masks], Dataset]
+    open: Callable[..., Dataset]
+    takes_intrinsics: bool = False
 
 
 KINDS: list[Kind] = []

@@ -23,6 +23,9 @@ CAMERA_FILES = (
 )
 """Names of the camera files of one's own recordings, in the order they are tried."""
 
+Intrinsics = tuple[float, float, float, float]
+"""fx, fy, cx, cy in pixels, of images at their native size."""
+
 _JSON_EXAMPLE = '{"w": 640, "h": 480, "fx": 525, "fy": 525, "cx": 319.5, "cy": 239.5, "scale": 1000}'
 
 
@@ -39,6 +42,29 @@ class Calibration:
     camera: Camera
     depth_scale: float
     distortion: tuple[float, ...] = ()
+
+
+def given_camera(path: Path, size: tuple[int, int], intrinsics: Intrinsics | None) -> Camera:
+    """Return the camera of the images in ``path``, (width, height) pixels, which only the user knows.
+
+    Raises:
+        DatasetError: ``intrinsics`` are not given, or cannot be.
+    """
+    width, height = size
+    if intrinsics is None:
+        guess = round(0.8 * max(size))
+        raise DatasetError(
+            f"{path}: its camera is not known; give --intrinsics FX FY CX CY, in pixels of its "
+            f"{width}x{height} images (for many phones about "
+            f"{guess} {guess} {0.5 * width - 0.5:g} {0.5 * height - 0.5:g})"
+        )
+    fx, fy, cx, cy = intrinsics
+    given = f"--intrinsics {fx:g} {fy:g} {cx:g} {cy:g}"
+    if not (all(map(math.isfinite, intrinsics)) and fx > 0.0 and fy > 0.0):
+        raise DatasetError(f"{given}: expected positive focal lengths, in pixels")
+    if not (0.0 <= cx < width and 0.0 <= cy < height):
+        raise DatasetError(f"{given}: the centre lies outside the {width}x{height} images of {path}")
+    return Camera(width, height, fx, fy, cx, cy)
 
 
 def find_camera_file(folders: Iterable[Path], names: Iterable[str] = CAMERA_FILES) -> Path:

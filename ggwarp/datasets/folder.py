@@ -2,7 +2,8 @@
 """A plain folder: one's own recording.
 
 ``color/``, ``rgb/`` or ``images/`` and ``depth/``, paired by name or number; a camera file (see
-:mod:`ggwarp.datasets.calibration`); poses optional, in ``traj.txt`` or ``pose/<stem>.txt``.
+:mod:`ggwarp.datasets.calibration`); poses optional, in ``traj.txt`` or ``pose/<stem>.txt``. Without
+``depth/`` it is monocular; then the images may also lie in the folder itself.
 """
 
 from __future__ import annotations
@@ -10,8 +11,15 @@ from __future__ import annotations
 from pathlib import Path
 
 from ggwarp.datasets.base import DatasetError, Kind, Masks
-from ggwarp.datasets.calibration import CAMERA_FILES, find_camera_file, read_calibration
-from ggwarp.datasets.images import image_size
+from ggwarp.datasets.calibration import (
+    CAMERA_FILES,
+    Calibration,
+    Intrinsics,
+    find_camera_file,
+    given_camera,
+    read_calibration,
+)
+from ggwarp.datasets.images import COLOUR_SUFFIXES, image_size
 from ggwarp.datasets.poses import read_matrices, read_matrix
 from ggwarp.datasets.sequence import Entry, FileSequence, image_files, match_by_number, match_poses
 from ggwarp.types import Float64
@@ -24,13 +32,15 @@ _RATE = 30.0
 
 
 def recognises(path: Path) -> bool:
-    """Return whether ``path`` has a colour folder, and a depth folder or a camera file."""
-    has_camera = any((path / name).is_file() for name in CAMERA_FILES)
-    return _colour_folder(path) is not None and ((path / "depth").is_dir() or has_camera)
+    """Return whether ``path`` has a colour folder, or is one."""
+    return _colour_folder(path) is not None
 
 
-def open_sequence(path: Path, masks: Masks = None) -> FileSequence:
+def open_sequence(path: Path, masks: Masks = None, intrinsics: Intrinsics | None = None) -> FileSequence:
     """Open a folder.
+
+    Args:
+        intrinsics: go before a camera file.
 
     Raises:
         DatasetError: no images, no camera file, or malformed numbers.
@@ -41,7 +51,10 @@ def open_sequence(path: Path, masks: Masks = None) -> FileSequence:
         raise DatasetError(f"{path}: the sequence is empty (no images in {', '.join(COLOUR_FOLDERS)})")
     depth = image_files(path / "depth") if (path / "depth").is_dir() else []
     size = image_size(colour[:3])
-    calibration = read_calibration(find_camera_file([path]), depth_scale=_DEPTH_SCALE, size=size)
+    if intrinsics is not None or not (depth or _camera_file(path)):
+        calibration = Calibration(given_camera(path, size, intrinsics), _DEPTH_SCALE)
+    else:
+        calibration = read_calibration(find_camera_file([path]), depth_scale=_DEPTH_SCALE, size=size)
     matched = zip(colour, match_by_number(colour, depth), _poses(path, colour), strict=True)
     entries = [Entry(rgb, d, i / _RATE, T_wc) for i, (rgb, d, T_wc) in enumerate(matched)]
     if depth and not any(entry.depth for entry in entries):
@@ -53,7 +66,14 @@ def open_sequence(path: Path, masks: Masks = None) -> FileSequence:
 
 
 def _colour_folder(path: Path) -> Path | None:
-    return next((path / name for name in COLOUR_FOLDERS if (path / name).is_dir()), None)
+    inside = next((path / name for name in COLOUR_FOLDERS if (path / name).is_dir()), None)
+    if inside is not None or (path / "depth").is_dir():
+        return inside
+    return path if any(p.suffix.lower() in COLOUR_SUFFIXES for p in path.iterdir()) else None
+
+
+def _camera_file(path: Path) -> bool:
+    return any((path / name).is_file() for name in CAMERA_FILES)
 
 
 def _poses(path: Path, colour: list[Path]) -> list[Float64 | None]:
@@ -66,4 +86,6 @@ def _poses(path: Path, colour: list[Path]) -> list[Float64 | None]:
     return [read_matrix(file) if file else None for file in files]
 
 
-KIND = Kind("folder", "color/, rgb/ or images/ and depth/", recognises, open_sequence)
+KIND = Kind(
+    "folder", "color/, rgb/ or images/ and, if there, depth/; or images", recognises, open_sequence, True
+)

@@ -94,8 +94,11 @@ def test_colour_alone_is_a_sequence_without_depth(make_folder: Maker) -> None:
     assert not dataset.has_depth and dataset[0].depth is None
 
 
-def test_colour_alone_without_a_camera_is_not_recognised(make_folder: Maker) -> None:
-    assert not recognises(make_folder(2, with_depth=False, camera=False))
+def test_colour_alone_needs_a_camera(make_folder: Maker) -> None:
+    folder = make_folder(2, with_depth=False, camera=False)
+    assert recognises(folder)
+    with pytest.raises(DatasetError, match="its camera is not known"):
+        open_sequence(folder)
 
 
 def test_depth_of_other_names(make_folder: Maker) -> None:

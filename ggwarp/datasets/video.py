@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A video file as a sequence of colour images, read with OpenCV."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ggwarp.datasets.base import DatasetError, FrameError
+from ggwarp.datasets.calibration import Intrinsics, given_camera
+from ggwarp.types import Frame
+
+VIDEO_SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg")
+
+_RATE = 30.0
+
+
+class VideoSequence:
+    """A :class:`ggwarp.datasets.base.Dataset` without depth, masks or poses.
+
+    Frames are numbered as they are decoded; reading on is fast, going back opens the file again.
+    """
+
+    kind = "video"
+    has_depth = False
+    has_masks = False
+
+    def __init__(self, path: Path, intrinsics: Intrinsics | None) -> None:
+        """Open the file.
+
+        Raises:
+            DatasetError: OpenCV cannot read it, or its camera is not given.
+        """
+        self.name = path.stem
+        self._path = path
+        self._lock = threading.Lock()
+        self._capture, self._next = cv2.VideoCapture(), 0
+        self._rewind()
+        rate = float(self._capture.get(cv2.CAP_PROP_FPS))
+        self._rate = rate if 0.0 < rate < 1e4 else _RATE
+        first = self._read()
+        if first is None:
+            raise self._unreadable()
+        height, width = first.shape[:2]
+        self.camera = given_camera(path, (width, height), intrinsics)
+        # The header's count is a guess; the decoder's is not.
+        count = 1
+        while self._capture.grab():
+            count += 1
+        self._count = count
+        self._rewind()
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, index: int) -> Frame:
+        if not 0 <= index < self._count:
+            raise IndexError(index)
+        with self._lock:
+            if index < self._next:
+                self._rewind()
+            while self._next < index and self._capture.grab():
+                self._next += 1
+            rgb = self._read() if self._next == index else None
+        if rgb is None:
+            raise FrameError(f"{self._path}: frame {index} cannot be decoded")
+        return Frame(index, index / self._rate, rgb)
+
+    def _rewind(self) -> None:
+        if not self._capture.open(str(self._path)):
+            raise self._unreadable()
+        self._next = 0
+
+    def _unreadable(self) -> DatasetError:
+        return DatasetError(f"{self._path}: is not a video that OpenCV can read; convert it, such as to .mp4")
+
+    def _read(self) -> NDArray[np.uint8] | None:
+        good, image = self._capture.read()
+        self._next += 1
+        return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8) if good else None
