@@ -132,6 +132,7 @@ class TrackResult:
             registration, m^2; inf where none is within reach.
         pixels: [n, 2] int32 sensor pixel (u, v) each point came from.
         exposure: of the picture, where tracking looked at it; None: not estimated.
+        depth: [h, w] float32 metres, of the picture, where tracking estimated it without a sensor.
     """
 
     T_wc: Float64
@@ -147,6 +148,7 @@ class TrackResult:
     distances2: Float32 | None = None
     pixels: NDArray[np.int32] | None = None
     exposure: Exposure | None = None
+    depth: Float32 | None = None
 
 
 @dataclass(frozen=True)

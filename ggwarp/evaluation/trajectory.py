@@ -71,6 +71,17 @@ def align(source: Float64, target: Float64, *, with_scale: bool = False) -> tupl
     return scale, R, target_mean - scale * R @ source_mean
 
 
+def to_scale(estimated: Float64, true: Float64) -> tuple[Float64, float]:
+    """Return [n, 4, 4] ``estimated`` at the scale at which it fits ``true`` best, and that scale.
+
+    A monocular trajectory has no scale of its own: aligned rigidly after this it is aligned by Sim(3).
+    """
+    scale, _, _ = align(estimated[:, :3, 3], true[:, :3, 3], with_scale=True)
+    scaled = estimated.copy()
+    scaled[:, :3, 3] *= scale
+    return scaled, scale
+
+
 def absolute_error(estimated: Float64, true: Float64, *, with_scale: bool = False) -> TrajectoryError:
     """Return the absolute trajectory error after alignment.
 

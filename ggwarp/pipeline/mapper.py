@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from ggwarp.objects.linear import LinearClassifier
 from ggwarp.objects.registry import NO_OBJECT, ClassTable
 from ggwarp.objects.sightings import Sightings
 from ggwarp.objects.supervision import ObjectSupervision, SupervisionConfig
+from ggwarp.pipeline.depth_guess import DepthGuessConfig, DepthGuesser
 from ggwarp.pipeline.drawing import Drawing, RandomDrawing, WindowDrawing
 from ggwarp.pipeline.exposure import estimate_exposure
 from ggwarp.pipeline.fitting import FitConfig, Fitter
@@ -36,6 +37,7 @@ class MapperConfig(FitConfig):
     iterations: int = 10
     """Mapping iterations a frame (synchronous mode)."""
     seeding: SeedingConfig = field(default_factory=SeedingConfig)
+    depth_guess: DepthGuessConfig = field(default_factory=DepthGuessConfig)
     supervision: SupervisionConfig = field(default_factory=SupervisionConfig)
     object_probability: float = 0.3
     """A Gaussian belongs to its likeliest object when that is likelier than this (Gaussian Grouping)."""
@@ -64,6 +66,7 @@ class Mapper:
         use_identity: bool,
         tracked_masks: bool = True,
         window: WindowConfig | None = None,
+        monocular: bool = False,
         recorded: bool | None = None,
     ) -> None:
         """Build an empty map.
@@ -72,6 +75,7 @@ class Mapper:
             camera: of the keyframes' images.
             tracked_masks: whether the masks' ids mean the same object in every frame.
             window: fit the keyframes of a covisible window together; None: draw from all.
+            monocular: frames have no depth, or an estimate: it seeds the map, but does not bind it.
             recorded: record iterations as graphs and replay them; the default does on CUDA alone: on the CPU
                 a recording runs on one thread. The map is the same to the bit.
         """
@@ -99,6 +103,7 @@ class Mapper:
         )
         self._renderer = Renderer(self.map, camera, identity_shapes=config.classifier.shapes)
         self.covisibility = None if window is None else Covisibility(self.map, camera)
+        self._guesser = DepthGuesser(config.depth_guess, camera) if monocular else None
         self._fitter = Fitter(
             config, self.map, self._renderer, self.classifier, self._drawing(window), recorded=recorded
         )
@@ -119,8 +124,11 @@ class Mapper:
             T_wc: [4, 4] its pose.
             exposure: of its picture as tracking found it, if it did.
         """
-        assert frame.depth is not None
         rendered = self.render(T_wc) if self.map.count else None
+        if self._guesser is not None and frame.depth is None:
+            assert rendered is not None
+            frame = replace(frame, depth=self._guesser.guess(frame, T_wc, rendered))
+        assert frame.depth is not None
         exposure = self._exposure(frame, rendered, exposure)
         lesson = None
         if self._supervision is not None:
@@ -141,7 +149,14 @@ class Mapper:
         )
         self.map.append(batch)
         targets = None if lesson is None or frame.mask is None else lesson.targets
+        if self._guesser is not None:
+            frame = replace(frame, depth=None)
         self._fitter.add(upload(frame, T_wc, targets, exposure, device=self._device))
+
+    def remember(self, frame: Frame, T_wc: Float64) -> None:
+        """Keep a frame, tracked at ``T_wc`` [4, 4], for the depth of later ones; every frame, in order."""
+        if self._guesser is not None:
+            self._guesser.remember(frame, T_wc)
 
     def iterate(self) -> None:
         """Fit the map to one keyframe once; on CUDA, queue it: the host reads nothing."""

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from ggwarp.evaluation.evaluate import Evaluation, Scores
-from ggwarp.evaluation.trajectory import TrajectoryError, absolute_error, relative_error
+from ggwarp.evaluation.trajectory import TrajectoryError, absolute_error, relative_error, to_scale
 from ggwarp.io.json import write_json
 from ggwarp.io.ply import PlyGaussians, write_ply
 from ggwarp.io.table import write_table
@@ -96,6 +96,7 @@ class RunRecord:
         sequence: its name. dataset: its kind. device: "cpu" or "cuda:N".
         reports: one a processed frame, in order.
         truth: index -> [4, 4] true camera-to-world pose, where known.
+        monocular: whether the trajectory has no scale of its own.
         skipped: index -> why the frame could not be used.
         counts: tracking_keyframes, mapping_keyframes, frames_lost.
         class_names: mask id -> what the object is, where the data says.
@@ -111,6 +112,7 @@ class RunRecord:
     reports: list[StepReport] = field(default_factory=list)
     truth: dict[int, Float64] = field(default_factory=dict)
     skipped: dict[int, str] = field(default_factory=dict)
+    monocular: bool = False
     counts: dict[str, int] = field(default_factory=dict)
     class_names: dict[int, str] = field(default_factory=dict)
     loop_s: float = 0.0
@@ -214,7 +216,7 @@ def metrics_of(record: RunRecord, *, wall_s: float, gaussians: int) -> dict[str,
     and ``mapping_ms`` are means per frame; ``wall_s`` runs from the command's start.
     """
     reports = record.reports
-    ate, rpe = _trajectory_errors(record)
+    ate, rpe, scale = _trajectory_errors(record)
     return {
         "sequence": record.sequence,
         "dataset": record.dataset,
@@ -236,6 +238,8 @@ def metrics_of(record: RunRecord, *, wall_s: float, gaussians: int) -> dict[str,
         "ate_rmse_cm": None if ate is None else 100.0 * ate.rmse,
         "ate_mean_cm": None if ate is None else 100.0 * ate.mean,
         "rpe_rmse_cm": None if rpe is None else 100.0 * rpe.rmse,
+        "alignment": None if ate is None else "sim3" if record.monocular else "se3",
+        "scale": scale if record.monocular else None,
         **_figures(record.evaluation.all_frames, (*_IMAGE_FIGURES, *_OBJECT_FIGURES)),
         **_figures(record.evaluation.held_out, _IMAGE_FIGURES, "heldout_"),
         "miou_against": record.evaluation.miou_against,
@@ -264,17 +268,23 @@ def _figures(scores: Scores, names: tuple[str, ...], prefix: str = "") -> dict[s
     return {prefix + name: getattr(scores, name) for name in names}
 
 
-def _trajectory_errors(record: RunRecord) -> tuple[TrajectoryError | None, TrajectoryError | None]:
+def _trajectory_errors(
+    record: RunRecord,
+) -> tuple[TrajectoryError | None, TrajectoryError | None, float | None]:
+    """Return the absolute and the relative error, and the scale that was given to the estimate."""
     known = [r for r in record.reports if r.index in record.truth]
     if not known:
-        return None, None
+        return None, None, None
     estimated = np.stack([r.T_wc for r in known])
     true = np.stack([record.truth[r.index] for r in known])
-    return absolute_error(estimated, true), relative_error(estimated, true)
+    scale = 1.0
+    if record.monocular:
+        estimated, scale = to_scale(estimated, true)
+    return absolute_error(estimated, true), relative_error(estimated, true), scale
 
 
 def _ate_per_frame(record: RunRecord) -> dict[int, float]:
-    ate, _ = _trajectory_errors(record)
+    ate, _, _ = _trajectory_errors(record)
     known = [r.index for r in record.reports if r.index in record.truth]
     return {} if ate is None else dict(zip(known, (100.0 * ate.per_frame).tolist(), strict=True))
 

@@ -162,6 +162,33 @@ def test_recorded_iterations_are_the_direct_ones_to_the_bit(
     assert any(mappers[1]._fitter._graphs._graphs.values()), "recorded"
 
 
+def test_monocular_keyframes_get_their_depth_from_the_map_and_the_motion(device: str) -> None:
+    office = SyntheticOffice(scale=0.2)
+    mapper = Mapper(MapperConfig(), office.camera, device=device, use_identity=False, monocular=True)
+    frames = [dataclasses.replace(office[i], depth=None) for i in range(8)]
+    for frame in frames[:-1]:
+        assert frame.T_wc is not None
+        if frame.index == 0:
+            mapper.insert(office[0], frame.T_wc)  # as a start estimates it
+            for _ in range(20):
+                mapper.iterate()
+        mapper.remember(frame, frame.T_wc)
+    before = mapper.map.count
+    T_wc = frames[7].T_wc
+    assert T_wc is not None
+    mapper.insert(frames[7], T_wc)
+    new = mapper.map.to_host()["means"][before:]
+    assert len(new) > 500
+    z = (new - T_wc[:3, 3]) @ T_wc[:3, 2]
+    pixels = (new - T_wc[:3, 3]) @ T_wc[:3, :2] / z[:, None] * office.camera.fx
+    columns, rows = np.rint(pixels + np.array([office.camera.cx, office.camera.cy])).astype(int).T
+    true = office[7].depth
+    assert true is not None
+    assert np.median(np.abs(z / true[rows, columns] - 1.0)) < 0.08
+    assert not any(keyframe.has_depth for keyframe in mapper._fitter.keyframes)
+    assert np.isfinite((mapper.iterate(), mapper.settle())[1])
+
+
 def test_the_isotropic_term_keeps_gaussians_round(device: str, frame: Frame) -> None:
     def stretch(weight: float) -> float:
         mapper = made(device, MapperConfig(isotropic_weight=weight), use_identity=False)

@@ -95,6 +95,19 @@ def test_metrics(record):
     assert metrics["peak_memory_mb"] > 10.0
 
 
+def test_a_monocular_trajectory_is_aligned_with_its_scale(record):
+    rigid = report.metrics_of(record, wall_s=9.0, gaussians=123)
+    assert rigid["alignment"] == "se3" and rigid["scale"] is None
+    record.monocular = True
+    metrics = report.metrics_of(record, wall_s=9.0, gaussians=123)
+    assert metrics["alignment"] == "sim3" and metrics["scale"] == pytest.approx(1.2)
+    assert metrics["ate_rmse_cm"] == pytest.approx(0.0, abs=1e-9)
+        0.0, abs=1e-9
+    )
+    record.truth = {}
+    assert report.metrics_of(record, wall_s=9.0, gaussians=123)["alignment"] is None
+
+
 def test_what_was_not_measured_is_null(tmp_path):
     metrics = report.metrics_of(report.RunRecord("s", "folder", "cpu"), wall_s=1.0, gaussians=0)
     report.write_metrics(tmp_path, {**metrics, "psnr": float("inf")})
