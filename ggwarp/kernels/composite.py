@@ -18,6 +18,7 @@ from ggwarp.kernels.composite_patches import TILES
 from ggwarp.kernels.launch import launch_split
 from ggwarp.kernels.project import Splats
 from ggwarp.kernels.project_adjoint import SlotGradients
+from ggwarp.kernels.sampling import Sample
 from ggwarp.kernels.tiles import TileArrays, tiles_across
 
 _MIN_TASKS = 2
@@ -34,6 +35,7 @@ def composite(
     transmittance: wp.array,
     median_depth: wp.array,
     identities: wp.array | None = None,
+    sample: Sample | None = None,
     cooperative: bool | None = None,
 ) -> None:
     """Blend binned splats into planar images, each padded to whole tiles.
@@ -47,6 +49,7 @@ def composite(
         median_depth: [Hp, Wp] out: depth at the pixel of the first splat after which T < 0.5, metres; 0
             where none.
         identities: [n] vec16 of the Gaussians, blended as channels 4 to 19; with None, C is 4.
+        sample: where identities are blended; elsewhere these channels are left as they are. None: everywhere.
         cooperative: take the form for CUDA; the default does on CUDA alone. On the CPU that form needs
             ``wp.config.enable_cpu_blocks`` and is slow: it is for tests.
 
@@ -60,9 +63,9 @@ def composite(
         tiles.slot_gaussians,
         tiles.tile_ranges,
         splats.rows,
-        identities,
+        *_identity_inputs(identities, sample),
     ]
-    kernels = (composite_cpu.KERNELS[channels], composite_cuda.FORWARD[channels])
+    kernels = (composite_cpu.forward, composite_cuda.FORWARD[channels])
     _launch(kernels, tiles, inputs, [image, transmittance, median_depth], cooperative)
 
 
@@ -76,6 +79,7 @@ def composite_adjoint(
     d_transmittance: wp.array,
     out: SlotGradients,
     identities: wp.array | None = None,
+    sample: Sample | None = None,
     identity_shapes: bool = True,
     cooperative: bool | None = None,
 ) -> None:
@@ -87,6 +91,8 @@ def composite_adjoint(
         d_transmittance: [Hp, Wp], zero in the padding.
         out: written for every slot of ``tiles``, zeros where nothing was seen.
         identities: as in :func:`composite`.
+        sample: as in :func:`composite`, and the same; elsewhere the identity channels have no gradient,
+            whatever d_image says.
         identity_shapes: False keeps the gradient of the identity channels from what shapes the splats
             (means, conics, opacities, slopes): it reaches ``out.identities`` alone.
         cooperative: as in :func:`composite`.
@@ -101,15 +107,21 @@ def composite_adjoint(
         tiles.slot_gaussians,
         tiles.tile_ranges,
         splats.rows,
-        identities,
+        *_identity_inputs(identities, sample),
         image,
         transmittance,
         d_image,
         d_transmittance,
         int(identity_shapes),
     ]
-    kernels = (composite_cpu_adjoint.KERNELS[channels], composite_cuda.ADJOINT[channels])
+    kernels = (composite_cpu_adjoint.adjoint, composite_cuda.ADJOINT[channels])
     _launch(kernels, tiles, inputs, [out.rows, out.identities], cooperative)
+
+
+def _identity_inputs(identities: wp.array | None, sample: Sample | None) -> list[Any]:
+    if identities is None:
+        return [None, 0, None]
+    return [identities, 1, None] if sample is None else [identities, sample.stride, sample.phase]
 
 
 def _launch(

@@ -5,10 +5,11 @@ Each warp holds a patch of 8 x 4 pixels, so that whole warps skip a splat togeth
 splats at a time is staged in shared memory; the opacity threshold is tested on ln alpha, before exp.
 
 The adjoint reduces over the block by products of small matrices: the weights of 16 splats [16, 256]
-times d_image [256, C] give their feature gradients (with x and y times its depth channel as two more
-columns: the gradient of the depth's slope), and d loss / d ln alpha [16, 256] times the monomials 1, x, y,
-x^2, xy, y^2 [256, 6] the moments that shape gradients are made of. One row per (splat, tile) slot and a
-fixed order: no atomics, and the same result every time.
+times d_image [256, 4] give their gradients of colour and depth (with x and y times the depth channel as two
+more columns: the gradient of the depth's slope; identities apart, as not every tile has them), and
+d loss / d ln alpha [16, 256] times the monomials 1, x, y, x^2, xy, y^2 [256, 6] the moments that shape
+gradients are made of. One row per (splat, tile) slot and a fixed order: no atomics, and the same result
+every time.
 """
 
 import warp as wp
@@ -23,6 +24,7 @@ from ggwarp.kernels.composite_patches import (
 )
 from ggwarp.kernels.math import vec16
 from ggwarp.kernels.project import LOG_ALPHA_MIN
+from ggwarp.kernels.sampling import first_band, in_sample
 
 # Warp's own loop over small matrices needs no link-time compilation.
 wp.set_module_options({"enable_backward": False, "max_unroll": 20, "enable_mathdx_gemm": False})
@@ -65,6 +67,8 @@ def _make_forward(channels: int):
         tile_ranges: wp.array[wp.vec2i],
         rows: wp.array[vec16],
         identities: wp.array[vec16],
+        stride: int,
+        phase: wp.array[int],
         image: wp.array3d[float],
         transmittance: wp.array2d[float],
         median_depth: wp.array2d[float],
@@ -77,6 +81,9 @@ def _make_forward(channels: int):
         gaussians = wp.tile_empty(shape=BLOCK, dtype=int, storage="shared")
         x = float(_column(lane))
         y = float(_row(lane))
+        sampled = first_band(tile_x, tile_y, stride, phase)
+        # The same for a whole warp.
+        looked_at = in_sample(_row(lane) >> 2, sampled, stride)
         head = wp.vec4()
         identity = vec16()
         T = float(1.0)
@@ -104,7 +111,8 @@ def _make_forward(channels: int):
                         f[DEPTH] += dx * s[5] + dy * s[6]
                         head += f * w
                         if wp.static(with_identity):
-                            identity += identities[gaussians[k]] * w
+                            if looked_at:
+                                identity += identities[gaussians[k]] * w
                         after = T - w
                         if T >= 0.5 and after < 0.5:
                             median = f[DEPTH]
@@ -118,8 +126,9 @@ def _make_forward(channels: int):
         for c in range(4):
             image[c, row, column] = head[c]
         if wp.static(with_identity):
-            for c in range(16):
-                image[4 + c, row, column] = identity[c]
+            if looked_at:
+                for c in range(16):
+                    image[4 + c, row, column] = identity[c]
         transmittance[row, column] = T
         median_depth[row, column] = median
 
@@ -128,7 +137,6 @@ def _make_forward(channels: int):
 
 def _make_adjoint(channels: int):
     with_identity = channels == 20
-    columns = channels + 2
 
     # Three blocks fit an SM with 80 registers (some tens of words spill) and 73 KiB of shared memory.
     @wp.kernel(name=f"composite_cuda_adjoint_{channels}", launch_bounds=(BLOCK, 3))
@@ -139,6 +147,8 @@ def _make_adjoint(channels: int):
         tile_ranges: wp.array[wp.vec2i],
         rows: wp.array[vec16],
         identities: wp.array[vec16],
+        stride: int,
+        phase: wp.array[int],
         image: wp.array3d[float],
         transmittance: wp.array2d[float],
         d_image: wp.array3d[float],
@@ -157,7 +167,7 @@ def _make_adjoint(channels: int):
         splats = wp.tile_empty(shape=BLOCK, dtype=vec8, storage="shared")
         gaussians = wp.tile_empty(shape=BLOCK, dtype=int, storage="shared")
         slots = wp.tile_empty(shape=BLOCK, dtype=int, storage="shared")
-        gradients = wp.tile_empty(shape=(BLOCK, columns), dtype=float, storage="shared")
+        gradients = wp.tile_empty(shape=(BLOCK, 6), dtype=float, storage="shared")
         monomials = wp.tile_empty(shape=(BLOCK, 6), dtype=float, storage="shared")
         x = float(_column(lane))
         y = float(_row(lane))
@@ -172,6 +182,8 @@ def _make_adjoint(channels: int):
         wp.tile_scatter_masked(monomials, lane, 5, v * v, True)
         g_head = wp.vec4()
         g_identity = vec16()
+        sampled = first_band(tile_x, tile_y, stride, phase)
+        looked_at = in_sample(_row(lane) >> 2, sampled, stride)
         # What the splats behind the one at hand, and the transmittance, add to the loss.
         rest = transmittance[row, column] * d_transmittance[row, column]
         for c in range(4):
@@ -181,11 +193,13 @@ def _make_adjoint(channels: int):
         wp.tile_scatter_masked(gradients, lane, 4, g_head[DEPTH] * u, True)
         wp.tile_scatter_masked(gradients, lane, 5, g_head[DEPTH] * v, True)
         if wp.static(with_identity):
+            identity_gradients = wp.tile_empty(shape=(BLOCK, 16), dtype=float, storage="shared")
             for c in range(16):
-                g_identity[c] = d_image[4 + c, row, column]
-                wp.tile_scatter_masked(gradients, lane, 6 + c, g_identity[c], True)
-                if identity_shapes != 0:
-                    rest += g_identity[c] * image[4 + c, row, column]
+                if looked_at:
+                    g_identity[c] = d_image[4 + c, row, column]
+                    if identity_shapes != 0:
+                        rest += g_identity[c] * image[4 + c, row, column]
+                wp.tile_scatter_masked(identity_gradients, lane, c, g_identity[c], True)
         T = float(1.0)
         pairs = tile_ranges[tile]
         begin = pairs[0]
@@ -217,7 +231,7 @@ def _make_adjoint(channels: int):
                             q = wp.dot(quarters[4 * gaussians[first + k] + 2], g_head)
                             q += g_head[DEPTH] * (dx * s[5] + dy * s[6])
                             if wp.static(with_identity):
-                                if identity_shapes != 0:
+                                if looked_at and identity_shapes != 0:
                                     q += wp.dot(identities[gaussians[first + k]], g_identity)
                             w[k] = alpha * T
                             rest -= w[k] * q
@@ -230,8 +244,12 @@ def _make_adjoint(channels: int):
                     # GROUP rows of 16 are one number a thread.
                     k = lane >> 4
                     c = lane & 15
+                    number = float(0.0)
+                    if sampled < 4:
+                        identity_sums = wp.tile_matmul(wp.tile(w), identity_gradients)
+                        number = identity_sums[k, c]
                     if first + k < size:
-                        slot_floats[16 * slots[first + k] + c] = sums[k, 6 + c]
+                        slot_floats[16 * slots[first + k] + c] = number
                 if lane < GROUP and first + lane < size:
                     s = splats[first + lane]
                     slot_rows[slots[first + lane]] = shape_gradients(

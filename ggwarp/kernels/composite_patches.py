@@ -5,10 +5,11 @@ A patch is one 16-wide vector, which LLVM turns into one AVX-512 register (or tw
 NEON). A splat touches only the patches that its ellipse's bounding box touches; compared with rows
 of 16 pixels that is a third fewer.
 
-Three habits make LLVM write what one would by hand, at up to five times the speed of the obvious code:
+Habits that make LLVM write what one would by hand, at up to five times the speed of the obvious code:
 loops over patches and splats run to run-time numbers (Warp unrolls loops over constants); local
 arrays are seen through arrays built over aligned addresses (strides become constants and no load
-straddles two cache lines); sums that a loop carries are stored as whole vectors when it ends.
+straddles two cache lines); sums that a loop carries are stored as whole vectors when it ends. And one
+kernel a module, which calls a function once: LLVM always inlines that.
 """
 
 import warp as wp
@@ -35,25 +36,20 @@ _LANE_X = wp.constant(vec16(0.0, 1.0, 2.0, 3.0, 0.0, 1.0, 2.0, 3.0, 0.0, 1.0, 2.
 _LANE_Y = wp.constant(vec16(0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 2.0, 3.0, 3.0, 3.0, 3.0))
 
 
-def make_exp():
-    """Return a device exp of vectors, for one kernel only: LLVM always inlines what is called once."""
+@wp.func
+def exp_in_range(x: vec16) -> vec16:
+    """exp on [-5.6, 0.05], relative error 2e-6: a minimax polynomial of exp(x / 8), to the eighth.
 
-    @wp.func
-    def exp(x: vec16) -> vec16:
-        """exp on [-5.6, 0.05], relative error 2e-6: a minimax polynomial of exp(x / 8), to the eighth.
-
-        Outside it is finite, infinite or NaN, and the caller discards it.
-        """
-        r = x * 1.7897336018226556e-07 + vec16(9.718701615516684e-06)
-        r = wp.cw_mul(r, x) + vec16(0.0003242176520565299)
-        r = wp.cw_mul(r, x) + vec16(0.007810792176278761)
-        r = wp.cw_mul(r, x) + vec16(0.1249992006078217)
-        r = wp.cw_mul(r, x) + vec16(0.9999999600539997)
-        r = wp.cw_mul(r, r)
-        r = wp.cw_mul(r, r)
-        return wp.cw_mul(r, r)
-
-    return exp
+    Outside it is finite, infinite or NaN, and the caller discards it.
+    """
+    r = x * 1.7897336018226556e-07 + vec16(9.718701615516684e-06)
+    r = wp.cw_mul(r, x) + vec16(0.0003242176520565299)
+    r = wp.cw_mul(r, x) + vec16(0.007810792176278761)
+    r = wp.cw_mul(r, x) + vec16(0.1249992006078217)
+    r = wp.cw_mul(r, x) + vec16(0.9999999600539997)
+    r = wp.cw_mul(r, r)
+    r = wp.cw_mul(r, r)
+    return wp.cw_mul(r, r)
 
 
 @wp.func
@@ -71,6 +67,17 @@ def patch_y(patch: int) -> vec16:
 def aligned(address: wp.uint64) -> wp.uint64:
     """The next cache line."""
     return (address + wp.uint64(63)) & ~wp.uint64(63)
+
+
+@wp.func
+def transpose_quads(source: wp.array[wp.vec4], first: int, out: wp.array[wp.vec4], to: int, stride: int):
+    """Turn four pixels of four channels, 4 quads apart, into four channels of four pixels."""
+    a = source[first]
+    b = source[first + 4]
+    c = source[first + 8]
+    d = source[first + 12]
+    for i in range(4):
+        out[to + i * stride] = wp.vec4(a[i], b[i], c[i], d[i])
 
 
 @wp.func
@@ -131,71 +138,65 @@ def patch_rect(s: vec16) -> wp.vec4i:
     return wp.vec4i(x0, y0, x1, y1)
 
 
-def make_gather(lines: int, chunk: int):
-    """Return a device function, for one kernel, that fetches up to ``chunk`` splats of ``lines`` lines."""
-
-    @wp.func
-    def gather(
-        size: int,
-        slots: wp.array[int],
-        begin: int,
-        slot_gaussians: wp.array[int],
-        rows: wp.array[vec16],
-        identities: wp.array[vec16],
-        gaussians: wp.array[int],
-        splats: wp.array[vec16],
-    ):
-        """Fill ``splats``. Loops of few instructions: so many of the waits for memory overlap."""
-        k = int(0)
-        while k < size:
-            gaussians[k] = slot_gaussians[slots[begin + k]]
-            k += 1
-        k = int(0)
-        while k < size:
-            splats[k * lines] = rows[gaussians[k]]
-            k += 1
-        if wp.static(lines == 2):
-            k = int(0)
-            while k < size:
-                splats[k * 2 + 1] = identities[gaussians[k]]
-                k += 1
-
-    return gather
+@wp.func
+def gather_splats(
+    size: int,
+    slots: wp.array[int],
+    begin: int,
+    slot_gaussians: wp.array[int],
+    rows: wp.array[vec16],
+    gaussians: wp.array[int],
+    splats: wp.array[vec16],
+):
+    """Fetch ``size`` splats. Loops of few instructions: so many of the waits for memory overlap."""
+    k = int(0)
+    while k < size:
+        gaussians[k] = slot_gaussians[slots[begin + k]]
+        k += 1
+    k = int(0)
+    while k < size:
+        splats[k] = rows[gaussians[k]]
+        k += 1
 
 
-def make_listing(lines: int, chunk: int):
-    """Return a device function, for one kernel, that lists splats under the patches that they touch."""
+@wp.func
+def gather_codes(size: int, gaussians: wp.array[int], identities: wp.array[vec16], codes: wp.array[vec16]):
+    """Fetch the identities of ``size`` splats."""
+    k = int(0)
+    while k < size:
+        codes[k] = identities[gaussians[k]]
+        k += 1
 
-    @wp.func
-    def list_splats(
-        size: int,
-        tile_x: int,
-        tile_y: int,
-        splats: wp.array[vec16],
-        counts: wp.array[int],
-        lists: wp.array[wp.int16],
-    ):
-        """Fill ``lists`` (``chunk`` places a patch) and put the splats :func:`on_tile`."""
-        for patch in range(16):
-            counts[patch] = 0
-        k = int(0)
-        while k < size:
-            s = on_tile(splats[k * lines], tile_x, tile_y)
-            rect = patch_rect(s)
-            splats[k * lines] = s
-            y = rect[1]
-            while y < rect[3]:
-                x = rect[0]
-                while x < rect[2]:
-                    patch = y * 4 + x
-                    count = counts[patch]
-                    lists[patch * chunk + count] = wp.int16(k)
-                    counts[patch] = count + 1
-                    x += 1
-                y += 1
-            k += 1
 
-    return list_splats
+@wp.func
+def list_splats(
+    size: int,
+    chunk: int,
+    tile_x: int,
+    tile_y: int,
+    splats: wp.array[vec16],
+    counts: wp.array[int],
+    lists: wp.array[wp.int16],
+):
+    """List splats under the patches that they touch (``chunk`` places a patch), and put them on_tile."""
+    for patch in range(16):
+        counts[patch] = 0
+    k = int(0)
+    while k < size:
+        s = on_tile(splats[k], tile_x, tile_y)
+        rect = patch_rect(s)
+        splats[k] = s
+        y = rect[1]
+        while y < rect[3]:
+            x = rect[0]
+            while x < rect[2]:
+                patch = y * 4 + x
+                count = counts[patch]
+                lists[patch * chunk + count] = wp.int16(k)
+                counts[patch] = count + 1
+                x += 1
+            y += 1
+        k += 1
 
 
 @wp.func

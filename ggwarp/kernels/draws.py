@@ -8,14 +8,15 @@ from typing import Any
 import warp as wp
 
 from ggwarp.kernels.neighbours import HashGrid
+from ggwarp.kernels.sampling import Sample
 
 wp.set_module_options({"enable_backward": False})
 
 
 @wp.kernel
-def _phase_kernel(seed: int, stride: int, draws: wp.array[int], phase: wp.array[int]):
+def _phase_kernel(seed: int, stride: int, none: int, draws: wp.array[int], phase: wp.array[int]):
     rng = wp.rand_init(seed, draws[0])
-    phase[0] = wp.randi(rng, 0, stride)
+    phase[0] = wp.where(none != 0, -1, wp.randi(rng, 0, stride))
     draws[0] += 1
 
 
@@ -28,15 +29,21 @@ def _points_kernel(seed: int, draw: int, grid: HashGrid, indices: wp.array[int],
     points[i] = grid.points[place]
 
 
-def draw_phase(*, seed: int, stride: int, draws: Any, phase: Any, device: Any) -> None:
-    """Draw which rows :func:`ggwarp.kernels.identity.cross_entropy` evaluates next.
+def draw_sample(sample: Sample, *, seed: int, draws: Any, none: bool = False, device: Any) -> None:
+    """Draw where identities are looked at next.
 
     Args:
-        stride: the phase is one of 0..stride - 1.
+        sample: its phase is written: one of 0..stride - 1.
         draws: [1] int, draws so far; counted on the device, so that a recorded graph goes on drawing.
-        phase: [1] int, written.
+        none: they are looked at nowhere.
     """
-    wp.launch(_phase_kernel, dim=1, inputs=[seed, stride], outputs=[draws, phase], device=device)
+    wp.launch(
+        _phase_kernel,
+        dim=1,
+        inputs=[seed, sample.stride, int(none)],
+        outputs=[draws, sample.phase],
+        device=device,
+    )
 
 
 def draw_points(grid: Any, *, seed: int, draw: int, indices: Any, points: Any, device: Any) -> None:

@@ -2,7 +2,7 @@
 """Cross-entropy of the identity image in the form for CUDA.
 
 A thread per pixel finds the logarithm of its softmax sum and the gradient of its identity; then
-a thread per (row, class) walks the row and sums that class's part of the classifier's gradient.
+a thread per (band, class) walks the band and sums that class's part of the classifier's gradient.
 Neighbouring threads hold neighbouring classes, so a pixel's identity is read once a warp.
 """
 
@@ -11,6 +11,7 @@ from typing import Any
 import warp as wp
 
 from ggwarp.kernels.math import vec16
+from ggwarp.kernels.sampling import BAND_ROWS, first_band, in_sample
 
 wp.set_module_options({"enable_backward": False})
 
@@ -42,8 +43,10 @@ def _pixels_kernel(
     item = wp.tid()
     row = item / width
     column = item - row * width
+    if not in_sample(row / BAND_ROWS, first_band(column / 16, 0, stride, phase), stride):
+        return
     label = int(-1)
-    if row < labels.shape[0] and column < labels.shape[1] and row % stride == phase[0]:
+    if row < labels.shape[0] and column < labels.shape[1]:
         label = labels[row, column]
     d = vec16()
     if label >= 0 and label < classes:
@@ -82,27 +85,32 @@ def _classes_kernel(
     other_partials: wp.array2d[wp.vec2],
 ):
     item = wp.tid()
-    row = phase[0] + (item / classes) * stride
+    band = item / classes
     c = item % classes
-    if row >= labels.shape[0]:
-        return
     d = vec16()
     db = float(0.0)
     loss = float(0.0)
     w = weights[c]
-    for column in range(labels.shape[1]):
-        label = labels[row, column]
-        if label >= 0 and label < classes:
-            e = _identity_at(image, row, column)
-            log_p = wp.dot(w, e) + biases[c] - log_sums[row, column]
-            g = wp.exp(log_p)
-            if label == c:
-                g -= 1.0
-                loss -= log_p
-            d += g * e
-            db += g
-    weight_partials[row, c] = d * scale
-    other_partials[row, c] = wp.vec2(db * scale, loss)
+    for block in range((labels.shape[1] + 15) / 16):
+        if not in_sample(band, first_band(block, 0, stride, phase), stride):
+            continue
+        for k in range(16 * BAND_ROWS):
+            row = band * BAND_ROWS + k / 16
+            column = block * 16 + k % 16
+            label = int(-1)
+            if row < labels.shape[0] and column < labels.shape[1]:
+                label = labels[row, column]
+            if label >= 0 and label < classes:
+                e = _identity_at(image, row, column)
+                log_p = wp.dot(w, e) + biases[c] - log_sums[row, column]
+                g = wp.exp(log_p)
+                if label == c:
+                    g -= 1.0
+                    loss -= log_p
+                d += g * e
+                db += g
+    weight_partials[band, c] = d * scale
+    other_partials[band, c] = wp.vec2(db * scale, loss)
 
 
 def launch(
@@ -121,7 +129,7 @@ def launch(
     other_partials: Any,
     device: Any,
 ) -> None:
-    """Write the image gradient, and each evaluated row's parts of the classifier's and of the loss.
+    """Write the image gradient, and each band's parts of the classifier's and of the loss.
 
     Arguments as of :func:`ggwarp.kernels.identity.cross_entropy` and its workspace; ``scale`` is the
     weight of one pixel.
@@ -137,7 +145,7 @@ def launch(
     )
     wp.launch(
         _classes_kernel,
-        dim=-(-labels.shape[0] // stride) * classes,
+        dim=image.shape[1] // int(BAND_ROWS) * classes,
         inputs=common,
         outputs=[weight_partials, other_partials],
         device=device,

@@ -14,6 +14,7 @@ from ggwarp.kernels.composite import composite, composite_adjoint
 from ggwarp.kernels.math import vec6
 from ggwarp.kernels.project import intrinsics_of, project
 from ggwarp.kernels.project_adjoint import pose_levels, project_adjoint
+from ggwarp.kernels.sampling import Sample
 from ggwarp.kernels.streams import to_host
 from ggwarp.kernels.tiles import TILE, TileCapacityError, bin_splats
 from ggwarp.kernels.tiles_parallel import PEAK
@@ -71,6 +72,7 @@ class Renderer:
         self.median_depth = zeros(*shape)
         row: Any = vec6
         self.d_pose = wp.zeros(1, dtype=row, device=self._device)
+        self._sample: Sample | None = None
         self._pose: tuple[wp.array, ...] = ()
         self._capacity = 0
         self.allocation = 0
@@ -86,13 +88,14 @@ class Renderer:
         """[rows] int: :attr:`TileArrays.ranks`, -1 for Gaussians that the last view does not show."""
         return self.tiles.ranks[: self.rows]
 
-    def forward(self, T_cw: wp.array) -> None:
-        """Render from ``T_cw`` ([1] mat44, world to camera).
+    def forward(self, T_cw: wp.array, *, sample: Sample | None = None) -> None:
+        """Render from ``T_cw`` ([1] mat44, world to camera); identities in ``sample``, or everywhere.
 
         Nothing is read back on CUDA or in a recording: where tile slots do not suffice the farthest splats
         are left out, until :meth:`make_room`; see also :meth:`render`.
         """
         self._bin(T_cw)
+        self._sample = sample
         composite(
             self.splats,
             self.tiles,
@@ -102,6 +105,7 @@ class Renderer:
             transmittance=self.transmittance,
             median_depth=self.median_depth,
             identities=self._identities,
+            sample=self._sample,
         )
 
     def render(self, T_wc: Float64) -> None:
@@ -136,6 +140,7 @@ class Renderer:
             d_transmittance=self.d_transmittance,
             out=self._slots,
             identities=self._identities,
+            sample=self._sample,
             identity_shapes=self._identity_shapes,
         )
         project_adjoint(

@@ -10,6 +10,7 @@ import warp as wp
 from ggwarp.kernels import exposure, identity, identity_kl, ssim
 from ggwarp.kernels.math import vec6, vec16
 from ggwarp.kernels.pixel_lines import BAND, RowWorkspace, lines_per_row
+from ggwarp.kernels.sampling import BAND_ROWS
 
 
 def allocate_loss(
@@ -61,16 +62,17 @@ def allocate_identity(
 ) -> identity.IdentityWorkspace:
     """Allocate the scratch of the cross-entropy for a padded image and up to ``capacity`` classes."""
     by_rows = identity.runs_by_rows(device)
-    rows = padded_height if by_rows else 0
+    bands = padded_height // int(BAND_ROWS)
+    items = bands if by_rows else 0
     return identity.IdentityWorkspace(
-        logits=wp.zeros((rows, capacity), dtype=vec16, device=device),
-        bias_sums=wp.zeros((rows, capacity), dtype=vec16, device=device),
-        pixels=wp.zeros((rows, 16), dtype=vec16, device=device),
+        logits=wp.zeros((items, capacity), dtype=vec16, device=device),
+        bias_sums=wp.zeros((items, capacity), dtype=vec16, device=device),
+        blocks=wp.zeros((items, 32), dtype=vec16, device=device),
         log_sums=wp.zeros(
             (0, 0) if by_rows else (padded_height, padded_width), dtype=wp.float32, device=device
         ),
-        weight_partials=wp.zeros((padded_height, capacity), dtype=vec16, device=device),
-        other_partials=wp.zeros((padded_height, capacity), dtype=wp.vec2, device=device),
+        weight_partials=wp.zeros((bands, capacity), dtype=vec16, device=device),
+        other_partials=wp.zeros((bands, capacity), dtype=wp.vec2, device=device),
         class_losses=wp.zeros(capacity, dtype=wp.float32, device=device),
     )
 

@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from ggwarp.kernels.adam import adam_classifier
 from ggwarp.kernels.classify import classify_gaussians, classify_pixels
-from ggwarp.kernels.draws import draw_phase
+from ggwarp.kernels.draws import draw_sample
 from ggwarp.kernels.identity import cross_entropy
 from ggwarp.kernels.identity_kl import neighbour_divergence
 from ggwarp.kernels.loss import OBJECT
 from ggwarp.kernels.math import vec16
+from ggwarp.kernels.sampling import Sample
 from ggwarp.kernels.streams import to_host
 from ggwarp.map.gaussians import SH_C0, GaussianMap
 from ggwarp.map.renderer import Renderer
@@ -42,8 +43,9 @@ class ClassifierConfig:
     shapes: bool = True
     """The cross-entropy's gradient also moves, shapes and fades Gaussians, as published; False: identities
     learn and leave the picture as it is without them."""
-    row_stride: int = 8
-    """Cross-entropy is evaluated on every so-manyth image row, from a random first one."""
+    sample_stride: int = 4
+    """Identities are rendered and compared on one in so many blocks of 16 x 4 pixels, drawn for each
+    iteration: most of what identities cost goes with their number."""
     interval_3d: int = 5
     """The 3-D term is evaluated every so many iterations."""
     samples_3d: int = 1000
@@ -72,7 +74,8 @@ class Classifier:
         self._seed = seed
         self.codes = np.zeros((0, IDENTITY_SIZE), np.float32)
         self._rate = wp.array([config.rate], dtype=float, device=self._device)
-        self._draws, self._phase = (wp.zeros(1, dtype=int, device=self._device) for _ in range(2))
+        self._draws, phase = (wp.zeros(1, dtype=int, device=self._device) for _ in range(2))
+        self._sample = Sample(config.sample_stride, phase)
         self._neighbourhood = Neighbourhood(
             gaussians, samples=config.samples_3d, k=config.neighbours_3d + 1, seed=seed
         )
@@ -97,17 +100,21 @@ class Classifier:
         self._weights[begin:count].assign(new)
         self._biases[begin:count].assign(-0.5 * (new**2).sum(axis=1))
 
+    def draw_sample(self, labels: wp.array | None) -> Sample:
+        """Draw where the next view's identities are rendered and compared: nowhere if it teaches nothing."""
+        none = labels is None or self.count < 2
+        draw_sample(self._sample, seed=self._seed, draws=self._draws, none=none, device=self._device)
+        return self._sample
+
     def evaluate(self, renderer: Renderer, labels: wp.array | None, losses: wp.array) -> None:
         """Write the identity part of ``renderer.d_image`` and of ``losses``.
 
         Args:
-            renderer: after its forward pass.
+            renderer: after its forward pass with the sample drawn for ``labels``.
             labels: [h, w] class of each pixel; None: this view teaches nothing.
             losses: see :data:`ggwarp.kernels.loss.LOSS_COUNT`.
         """
-        c = self._config
         if labels is None or self.count < 2:
-            renderer.d_image[4:].zero_()
             self._d_weights.zero_()
             self._d_biases.zero_()
             losses[OBJECT : OBJECT + 1].zero_()
@@ -117,9 +124,6 @@ class Classifier:
             self._image_workspace = allocate_identity(
                 height, width, capacity=self._capacity, device=self._device
             )
-        draw_phase(
-            seed=self._seed, stride=c.row_stride, draws=self._draws, phase=self._phase, device=self._device
-        )
         cross_entropy(
             renderer.image,
             labels,
@@ -131,9 +135,8 @@ class Classifier:
             d_biases=self._d_biases,
             losses=losses,
             workspace=self._image_workspace,
-            phase=self._phase,
-            weight=c.weight,
-            stride=c.row_stride,
+            sample=self._sample,
+            weight=self._config.weight,
             device=self._device,
         )
 

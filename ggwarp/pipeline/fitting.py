@@ -162,7 +162,8 @@ class Fitter:
     def _fit(self, keyframe: Keyframe, with_3d: bool, change: tuple[str, ...]) -> None:
         """One iteration: render, compare, take the gradient back, step. It only launches: it is recorded."""
         with_pose = "T_cw" in change
-        self._renderer.forward(keyframe.T_cw)
+        sample = None if self._classifier is None else self._classifier.draw_sample(keyframe.labels)
+        self._renderer.forward(keyframe.T_cw, sample=sample)
         if self._exposing is not None and "exposure" in change:
             self._exposing.show(keyframe)
             self._evaluate(keyframe, self._exposing.image)

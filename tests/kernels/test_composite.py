@@ -13,6 +13,7 @@ from ggwarp.kernels.composite import composite, composite_adjoint
 from ggwarp.kernels.math import vec16
 from ggwarp.kernels.project import Splats
 from ggwarp.kernels.project_adjoint import SlotGradients
+from ggwarp.kernels.sampling import Sample
 from ggwarp.kernels.tiles import bin_splats, tiles_across
 from ggwarp.ops.reference.render import composite as composite_reference
 from ggwarp.ops.workspace import allocate_tiles
@@ -42,10 +43,11 @@ def make_scene(rng, n=60, width=40, height=24, channels=20, sigma=(0.6, 5.0), op
 class Composited:
     """A scene binned and composited on a device."""
 
-    def __init__(self, scene, size, device, *, everywhere=False, cooperative=None):
+    def __init__(self, scene, size, device, *, everywhere=False, cooperative=None, sample=None):
         self.width, self.height = size
         self.device = device
         self.cooperative = cooperative
+        self.sample = sample
         n, channels = scene["features"].shape
         rects = np.zeros((n, 4), np.int32)
         columns, rows = tiles_across(self.width), tiles_across(self.height)
@@ -97,6 +99,7 @@ class Composited:
             transmittance=self.transmittance,
             median_depth=self.median_depth,
             identities=self.identities,
+            sample=self.sample,
             cooperative=self.cooperative,
         )
 
@@ -119,6 +122,7 @@ class Composited:
             d_transmittance=wp.array(np.pad(d_transmittance, padding), dtype=float, device=self.device),
             out=out,
             identities=self.identities,
+            sample=self.sample,
             cooperative=self.cooperative,
             **options,
         )
@@ -261,6 +265,32 @@ def test_cuda_form_agrees_with_cpu_form(rng, cpu_blocks, channels, identity_shap
         assert np.abs(a - b).max() < 2e-5
     for a, b in zip(ours[3:], theirs[3:], strict=True):
         assert_same_direction(a, b, tolerance=1e-4)
+
+
+@pytest.mark.parametrize("cooperative", [False, True], ids=["CPU form", "CUDA form"])
+@pytest.mark.parametrize(("stride", "phase"), [(8, 0), (8, 5), (3, 1), (8, -1)])
+def test_identities_are_blended_in_the_sample_alone(rng, cpu_blocks, stride, phase, cooperative):
+    scene, size = make_scene(rng, n=200, width=52, height=40)
+    d_image, d_transmittance = random_gradients(rng, 20, size)
+    y, x = np.mgrid[: size[1], : size[0]]
+    looked_at = (y // 4 - 3 * (x // 16)) % stride == phase
+    seen = d_image.copy()
+    seen[4:] *= looked_at
+
+    sample = Sample(stride, wp.full(1, phase, dtype=int, device="cpu"))
+    ours = Composited(scene, size, "cpu", cooperative=cooperative, sample=sample)
+    whole = Composited(scene, size, "cpu")
+
+    image, all_of_it = ours.planes()[0], whole.planes()[0]
+    assert looked_at.any() == (phase >= 0)
+    np.testing.assert_allclose(image[:4], all_of_it[:4], atol=2e-5)
+    np.testing.assert_allclose(image[4:, looked_at], all_of_it[4:, looked_at], atol=2e-5)
+    assert (image[4:, ~looked_at] == 7.0).all()
+    # What d_image says elsewhere counts for nothing.
+    gradients = ours.adjoint(d_image, d_transmittance)
+    for mine, theirs in zip(gradients, whole.adjoint(seen, d_transmittance), strict=True):
+        assert_same_direction(mine, theirs, tolerance=1e-4)
+    assert gradients[3][:, 4:].any() == (phase >= 0)
 
 
 def test_thread_count_does_not_change_a_bit(rng):

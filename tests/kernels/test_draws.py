@@ -3,13 +3,14 @@ import numpy as np
 import warp as wp
 
 from ggwarp.kernels import draws, neighbours
+from ggwarp.kernels.sampling import Sample
 
 
 def phases(device: str, seed: int, count: int, stride: int = 4) -> np.ndarray:
     done, phase = (wp.zeros(1, dtype=int, device=device) for _ in range(2))
     drawn = []
     for _ in range(count):
-        draws.draw_phase(seed=seed, stride=stride, draws=done, phase=phase, device=device)
+        draws.draw_sample(Sample(stride, phase), seed=seed, draws=done, device=device)
         drawn.append(int(phase.numpy()[0]))
     assert done.numpy()[0] == count
     return np.array(drawn)
@@ -23,6 +24,12 @@ def test_phases_are_even_and_repeat(device):
     assert (drawn != phases(device, 4, 800)).any()
     followers = np.bincount(4 * drawn[:-1] + drawn[1:], minlength=16)
     assert (abs(followers - 50) < 35).all()
+
+
+def test_none_may_be_drawn(device):
+    done, phase = (wp.zeros(1, dtype=int, device=device) for _ in range(2))
+    draws.draw_sample(Sample(4, phase), seed=3, draws=done, none=True, device=device)
+    assert phase.numpy()[0] < 0
 
 
 def points(device: str, xyz: np.ndarray, draw: int, m: int) -> tuple[np.ndarray, np.ndarray]:

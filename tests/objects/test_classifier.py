@@ -51,7 +51,7 @@ def test_gaussians_with_their_class_s_code_are_classified_at_once(
 
 
 def test_training_teaches_random_identities(device: str, rng: np.random.Generator) -> None:
-    config = ClassifierConfig(row_stride=2, rate=0.05)
+    config = ClassifierConfig(sample_stride=2, rate=0.05)
     gaussians, renderer, classifier = made(device, config)
     classifier.grow(3)
     gaussians.append(wall(rng.normal(size=(2, 16)), rng))
@@ -62,7 +62,7 @@ def test_training_teaches_random_identities(device: str, rng: np.random.Generato
     pose = renderer.pose_array(np.eye(4))
     history = []
     for i in range(60):
-        renderer.forward(pose)
+        renderer.forward(pose, sample=classifier.draw_sample(on_device))
         classifier.evaluate(renderer, on_device, losses)
         renderer.adjoint(pose)
         if classifier.begin_3d(i):
@@ -91,11 +91,14 @@ def test_a_view_without_labels_teaches_nothing(device: str, rng: np.random.Gener
     gaussians, renderer, classifier = made(device, ClassifierConfig())
     classifier.grow(3)
     gaussians.append(wall(classifier.codes[[1, 2]], rng))
-    renderer.d_image.fill_(1.0)
     weights = classifier._weights.numpy().copy()
+    pose = renderer.pose_array(np.eye(4))
+    renderer.forward(pose, sample=classifier.draw_sample(None))
+    renderer.d_image[4:].fill_(1.0)
     classifier.evaluate(renderer, None, wp.zeros(LOSS_COUNT, dtype=float, device=device))
+    renderer.adjoint(pose)
     classifier.step()
-    assert not renderer.d_image.numpy()[4:].any()
+    assert not renderer.gradients.identities.numpy().any()
     assert (classifier._weights.numpy() == weights).all()
 
 

@@ -37,6 +37,7 @@ class Stages:
     Attributes:
         load: what the view asks for.
         channels: 4 or 20.
+        stride: identities are rendered, as the mapper does, on a share of 1 / stride of the pixels.
     """
 
     def __init__(self, mapper: Mapper, frame: Frame, camera: Camera) -> None:
@@ -60,6 +61,8 @@ class Stages:
         self._labels = None
         if self._classifier is not None and frame.mask is not None:
             self._labels = self._array(mapper.classes.encode(frame.mask), int)
+        self._sample = None if self._classifier is None else self._classifier.draw_sample(self._labels)
+        self.stride = 1 if self._sample is None else self._sample.stride
         self._rates = self._array(AdamRates(0.0, 0.0, 0.0, 0.0, 0.0, 0.0).lanes(), vec16)
         for work in self.works().values():
             work()
@@ -86,8 +89,12 @@ class Stages:
         return works
 
     def forward_and_adjoint(self) -> None:
-        """Render and take the gradient back, as the mapper does."""
+        """Render and take the gradient back, identities everywhere."""
         self._run("forward and adjoint", self._pass)
+
+    def sampled_forward_and_adjoint(self) -> None:
+        """Render and take the gradient back, as the mapper does."""
+        self._run("sampled forward and adjoint", self._sampled_pass)
 
     def _run(self, name: str, stage: Callable[[], None]) -> None:
         """Do a stage; on CUDA by replaying a recording, as the mapper does."""
@@ -98,6 +105,10 @@ class Stages:
 
     def _pass(self) -> None:
         self._renderer.forward(self._T_cw)
+        self._renderer.adjoint(self._T_cw)
+
+    def _sampled_pass(self) -> None:
+        self._renderer.forward(self._T_cw, sample=self._sample)
         self._renderer.adjoint(self._T_cw)
 
     def _array(self, values: Any, dtype: Any) -> Any:
@@ -122,6 +133,8 @@ class Stages:
 
     def _composite(self) -> None:
         r = self._renderer
+        if self._classifier is not None:
+            self._classifier.draw_sample(self._labels)
         composite(
             self._splats,
             r.tiles,
@@ -131,6 +144,7 @@ class Stages:
             transmittance=r.transmittance,
             median_depth=r.median_depth,
             identities=self._map.parameters.identities,
+            sample=self._sample,
         )
 
     def _loss(self) -> None:
@@ -159,6 +173,7 @@ class Stages:
             d_transmittance=r.d_transmittance,
             out=self._slots,
             identities=self._map.parameters.identities,
+            sample=self._sample,
         )
 
     def _project_adjoint(self) -> None:
@@ -219,26 +234,28 @@ class Effort:
     gigabytes: float
 
 
-def efforts(load: Load, camera: Camera, channels: int, classes: int) -> dict[str, Effort]:
+def efforts(load: Load, camera: Camera, channels: int, classes: int, stride: int = 1) -> dict[str, Effort]:
     """Return name of the stage -> its effort.
 
-    A contribution costs 32 + 2 C operations forward (distance and exponent 10, exp as a polynomial 13,
+    C channels, those of the identity counted by the share of pixels that have them, 1 / ``stride``: a
+    contribution costs 32 + 2 C operations forward (distance and exponent 10, exp as a polynomial 13,
     weight, transmittance and depth 9, channels 2 C) and 58 + 4 C in the adjoint (the weight again,
     gradients of conic, mean, slope and opacity; channels' gradients 2 C, their product with the image's
     2 C); a pixel 1,150 for SSIM with its adjoint, separable; 7 for each class and 16 lanes of the
-    cross-entropy, on a quarter of the rows; an Adam step 15 a parameter.
+    cross-entropy; an Adam step 15 a parameter.
     """
-    n, v, p, c = load.gaussians, load.visible, load.pairs, channels
+    n, v, p = load.gaussians, load.visible, load.pairs
     pixels = camera.width * camera.height
-    identity = 16 if c == 20 else 0
+    identity = 16 if channels == 20 else 0
     parameters = 14 + identity
-    splat = 8 + c  # floats: centre 2, conic and opacity 4, slope 2, channels
+    c = 4 + identity / stride
+    splat = 12 + identity  # floats: centre 2, conic and opacity 4, slope 2, channels
     floats = {
         "project": n * (parameters + 4) + v * (splat + 1),
         "bin": n * 4 + v * 3 + p * 2,
         "composite": p * (splat + 2) + pixels * (c + 2),
         "loss": pixels * (4 + 1 + 1 + 4),
-        "cross-entropy": pixels * (16 + (16 + 1) / 4),
+        "cross-entropy": pixels / stride * (16 + 16 + 1),
         "composite adjoint": p * (2 * splat + 2) + pixels * 2 * (c + 1),
         "project adjoint": p * splat + v * (14 + parameters),
         "KL": 6000 * 4 * 16,
@@ -247,7 +264,7 @@ def efforts(load: Load, camera: Camera, channels: int, classes: int) -> dict[str
     operations = {
         "composite": load.contributions * (32 + 2 * c),
         "loss": pixels * 1150,
-        "cross-entropy": pixels / 4 * classes * 7 * 16,
+        "cross-entropy": pixels / stride * classes * 7 * 16,
         "composite adjoint": load.contributions * (58 + 4 * c),
         "Adam": v * parameters * 15,
     }
