@@ -130,6 +130,8 @@ def _slopes_kernel(
     colour_bytes = plane_bytes(colours)
     slope_bytes = plane_bytes(slopes)
     one = vec16(1.0)
+    # A run-time number: Warp unrolls loops over constants, and compiles long.
+    bands = BAND + wp.min(height, 0)
     l1 = vec16()
     dssim = vec16()
     c = int(0)
@@ -146,7 +148,8 @@ def _slopes_kernel(
             in_row = inside_image(j, width)
             to = slope_at
             at = colour_at
-            for r in range(BAND):
+            r = int(0)
+            while r < bands:
                 mx = mean_x[r]
                 my = mean_y[r]
                 inside = in_row * wp.where(first + r < height, 1.0, 0.0)
@@ -168,6 +171,7 @@ def _slopes_kernel(
                 l1 += wp.abs(load_line(at) - load_line(at + wp.uint64(3) * colour_bytes))
                 to += row_bytes
                 at += row_bytes
+                r += 1
             mean_at += LINE
             colour_at += LINE
             slope_at += LINE
@@ -210,6 +214,7 @@ def _gradient_kernel(
     row_bytes = wp.uint64(lines) * LINE
     slope_bytes = plane_bytes(slope_means)
     colour_bytes = plane_bytes(colours)
+    bands = BAND + wp.min(height, 0)
     c = int(0)
     while c < 3 and first < height:
         slope_at = row_address(slope_means, c, first)
@@ -222,7 +227,8 @@ def _gradient_kernel(
             by_product = band_means(slope_at + wp.uint64(6) * slope_bytes, row_bytes)
             at = x_at
             mask_at = counts_at
-            for r in range(BAND):
+            r = int(0)
+            while r < bands:
                 if first + r < d_image.shape[1]:
                     x = load_line(at)
                     y = load_line(at + wp.uint64(3) * colour_bytes)
@@ -235,6 +241,7 @@ def _gradient_kernel(
                     d_image_lines[c * plane + (first + r) * across + j] = g
                 at += row_bytes
                 mask_at += row_bytes
+                r += 1
             slope_at += LINE
             x_at += LINE
             counts_at += LINE

@@ -30,6 +30,9 @@ band = wp.types.matrix((BAND, 16), wp.float32)
 
 WINDOW = 2 * REACH + 1
 
+_vec17 = wp.types.vector(WINDOW + 2 * BAND - 2, wp.float32)
+_PADDED_TAPS = wp.constant(_vec17(*[0.0] * (BAND - 1), *TAPS, *[0.0] * (BAND - 1)))
+
 
 @dataclass(frozen=True)
 class RowWorkspace:
@@ -97,15 +100,14 @@ def total_of(v: vec16) -> float:
 def band_means(address: wp.uint64, stride: wp.uint64) -> band:
     """Means over the windows' rows of a line in BAND rows; ``address`` is in the first window's first row."""
     means = band()
-    first = address
-    for r in range(BAND):
-        at = first
-        total = vec16()
-        for k in range(WINDOW):
-            total += load_line(at) * TAPS[k]
-            at += stride
-        means[r] = total
-        first += stride
+    at = address
+    k = int(0)
+    while k < WINDOW + BAND - 1:
+        line = load_line(at)
+        for r in range(BAND):
+            means[r] += line * _PADDED_TAPS[k + BAND - 1 - r]
+        at += stride
+        k += 1
     return means
 
 
@@ -125,6 +127,10 @@ def row_mean(address: wp.uint64) -> vec16:
 @wp.func
 def store_product_means(colours: wp.array3d[vec16], means: wp.array3d[vec16], row: int):
     """Write the means along a row of x, y, x^2 + y^2 and x y of each channel."""
+    tap_memory = wp.zeros(shape=WINDOW, dtype=float)
+    taps = wp.array(ptr=tap_memory.ptr, shape=(WINDOW,), dtype=float)
+    for i in range(WINDOW):
+        taps[i] = TAPS[i]
     lines = colours.shape[2]
     mean_bytes = plane_bytes(means)
     c = int(0)
@@ -140,17 +146,19 @@ def store_product_means(colours: wp.array3d[vec16], means: wp.array3d[vec16], ro
             product = vec16()
             x_tap = x_at - REACH_BYTES
             y_tap = y_at - REACH_BYTES
-            for k in range(WINDOW):
+            k = int(0)
+            while k < WINDOW:
                 x = load_line(x_tap)
                 y = load_line(y_tap)
                 x_tap += FLOAT
                 y_tap += FLOAT
-                tx = x * TAPS[k]
-                ty = y * TAPS[k]
+                tx = x * taps[k]
+                ty = y * taps[k]
                 mx += tx
                 my += ty
                 squares += wp.cw_mul(tx, x) + wp.cw_mul(ty, y)
                 product += wp.cw_mul(tx, y)
+                k += 1
             store_line(to, mx)
             store_line(to + mean_bytes, my)
             store_line(to + wp.uint64(2) * mean_bytes, squares)
