@@ -19,17 +19,20 @@ from typing import Literal
 
 from ggwarp.datasets.faults import SensorFaults
 from ggwarp.io.toml import TomlError, merged, read_toml
+from ggwarp.pipeline.hybrid import HybridConfig
 from ggwarp.pipeline.keyframes import KeyframeConfig
 from ggwarp.pipeline.mapper import MapperConfig
+from ggwarp.pipeline.photometric import PhotometricConfig
 from ggwarp.pipeline.slam import KeyframePolicyKind, SlamConfig
 from ggwarp.pipeline.trackable import TrackableConfig
 from ggwarp.pipeline.tracker import TrackerConfig
+from ggwarp.pipeline.trackers import TrackerKind
 from ggwarp.pipeline.window import WindowConfig
 from ggwarp.types import Camera
 
 Preset = Literal["gg-slam", "gs-icp", "monogs", "fast", "quality"]
 MasksKind = Literal["tracked", "untracked"]
-TrackerKind = Literal["gicp", "photometric", "hybrid", "ground-truth"]
+PolicyChoice = Literal["auto", "overlap", "covisibility"]
 
 _CPU_PIXELS = 50_000  # what two cores can map at a few frames a second
 _MIN_SIDE = 16  # pixels: one tile
@@ -71,7 +74,9 @@ class RunConfig:
     """Where all other options start from: gs-icp learns no objects; fast and quality map less and more."""
 
     tracker: TrackerKind = "gicp"
-    """How poses are found; ground-truth takes the data set's own."""
+    """How poses are found: gicp registers depth to the map's points; photometric looks for the pose at which
+    the map looks like the picture; hybrid asks colour where geometry leaves the pose uncertain; ground-truth
+    takes the data set's own."""
 
     frames: str | None = None
     """Slice of the sequence, A:B or A:B:STEP; default: all of it."""
@@ -99,27 +104,37 @@ class RunConfig:
     """What is wrong with the camera of a built-in scene (--seq office, wall); without options nothing is."""
 
     gicp: TrackerConfig = field(default_factory=TrackerConfig)
+    photometric: PhotometricConfig = field(default_factory=PhotometricConfig)
+    hybrid: HybridConfig = field(default_factory=HybridConfig)
     keyframes: KeyframeConfig = field(default_factory=KeyframeConfig)
     trackable: TrackableConfig = field(default_factory=TrackableConfig)
     mapper: MapperConfig = field(default_factory=MapperConfig)
-    policy: KeyframePolicyKind = "overlap"
+    policy: PolicyChoice = "auto"
     """Keyframes are chosen by overlap with the trackable points (GG-SLAM), or by covisibility, and kept in
-    a window that is fitted together (MonoGS)."""
+    a window that is fitted together (MonoGS); auto: by covisibility where --tracker photometric keeps no
+    points."""
     window: WindowConfig = field(default_factory=WindowConfig)
 
     def slam(self) -> SlamConfig:
         """Return the part that configures :class:`ggwarp.pipeline.slam.Slam`."""
         return SlamConfig(
-            tracker=self.gicp,
+            tracker=self.tracker,
+            gicp=self.gicp,
+            photometric=self.photometric,
+            hybrid=self.hybrid,
             keyframes=self.keyframes,
             trackable=self.trackable,
             mapper=self.mapper,
-            policy=self.policy,
+            policy=self._policy(),
             window=self.window,
             use_identity=self.use_identity,
             tracked_masks=self.tracked_masks,
-            use_true_poses=self.tracker == "ground-truth",
         )
+
+    def _policy(self) -> KeyframePolicyKind:
+        if self.policy == "auto":
+            return "covisibility" if self.tracker == "photometric" else "overlap"
+        return self.policy
 
     @property
     def mask_folder(self) -> str | None:
@@ -201,8 +216,8 @@ def check(config: RunConfig) -> None:
     """
     if not config.seq:
         raise ConfigError("--seq is missing: give a sequence's name or its folder, such as --seq office0")
-    if config.tracker not in ("gicp", "ground-truth"):
-        raise ConfigError(f"--tracker {config.tracker}: not available yet; choose gicp or ground-truth")
+    if config.tracker == "photometric" and config.policy == "overlap":
+        raise ConfigError("--policy overlap: --tracker photometric keeps no points; choose covisibility")
     if config.preset not in _PRESETS:
         preset_config(config.preset)
     if config.scale is not None and not 0.0 < config.scale <= 1.0:

@@ -41,17 +41,21 @@ def test_what_is_not_there_yet_says_so():
         c.preset_config("monogs")
     with pytest.raises(c.ConfigError, match="no such preset"):
         c.preset_config("nonsense")
-    for kind in set(typing.get_args(c.TrackerKind)) - {"gicp", "ground-truth"}:
-        with pytest.raises(c.ConfigError, match=f"{kind}: not available yet"):
-            c.check(c.RunConfig(seq="x", tracker=kind))
+
+
+def test_keyframes_by_overlap_need_a_tracker_with_points():
+    for kind in typing.get_args(c.TrackerKind):
+        wanted = "covisibility" if kind == "photometric" else "overlap"
+        assert c.RunConfig(tracker=kind).slam().policy == wanted
+    with pytest.raises(c.ConfigError, match="--policy overlap"):
+        c.check(c.RunConfig(seq="x", tracker="photometric", policy="overlap"))
 
 
 def test_the_slam_part_is_composed():
     config = c.RunConfig(tracker="ground-truth")
     slam = config.slam()
-    assert slam.use_true_poses and not c.RunConfig().slam().use_true_poses
-    assert slam.tracker is config.gicp
-    for part in ("keyframes", "trackable", "mapper"):
+    assert slam.tracker == "ground-truth"
+    for part in ("gicp", "photometric", "hybrid", "keyframes", "trackable", "mapper"):
         assert getattr(slam, part) is getattr(config, part)
 
 

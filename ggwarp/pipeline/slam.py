@@ -21,14 +21,17 @@ import numpy as np
 from ggwarp.io.ply import PlyGaussians
 from ggwarp.kernels import loading
 from ggwarp.kernels.lanes import OPEN_ROAD, two_lanes
+from ggwarp.map.renderer import Renderer
 from ggwarp.objects.inventory import ObjectRecord
 from ggwarp.objects.linear import LinearClassifier
-from ggwarp.pipeline.given_poses import GivenPoses
+from ggwarp.pipeline.hybrid import HybridConfig
 from ggwarp.pipeline.keyframes import KeyframeConfig, KeyframeKind, KeyframePolicy, OverlapKeyframes
 from ggwarp.pipeline.mapper import Mapper, MapperConfig
+from ggwarp.pipeline.photometric import PhotometricConfig
 from ggwarp.pipeline.scheduler import Arrival, Scheduler, SynchronousScheduler, Waiting
 from ggwarp.pipeline.trackable import TrackableConfig, TrackableMap
-from ggwarp.pipeline.tracker import GicpTracker, TrackerConfig
+from ggwarp.pipeline.tracker import TrackerConfig
+from ggwarp.pipeline.trackers import Tracker, TrackerKind, make_tracker
 from ggwarp.pipeline.window import CovisibilityKeyframes, WindowConfig
 from ggwarp.types import Camera, Float64, Frame, Rendered, StepReport, TrackResult, Verdict
 
@@ -39,7 +42,11 @@ KeyframePolicyKind = Literal["overlap", "covisibility"]
 class SlamConfig:
     """The whole system: its parts' configurations and what joins them."""
 
-    tracker: TrackerConfig = field(default_factory=TrackerConfig)
+    tracker: TrackerKind = "gicp"
+    """How poses are found."""
+    gicp: TrackerConfig = field(default_factory=TrackerConfig)
+    photometric: PhotometricConfig = field(default_factory=PhotometricConfig)
+    hybrid: HybridConfig = field(default_factory=HybridConfig)
     keyframes: KeyframeConfig = field(default_factory=KeyframeConfig)
     trackable: TrackableConfig = field(default_factory=TrackableConfig)
     mapper: MapperConfig = field(default_factory=MapperConfig)
@@ -50,8 +57,6 @@ class SlamConfig:
     """Learn which object each Gaussian belongs to (GG-SLAM); False is GS-ICP-SLAM."""
     tracked_masks: bool = True
     """The masks' ids mean the same object in every frame; else objects are found again by the map."""
-    use_true_poses: bool = False
-    """Take poses from the data set instead of tracking (mapping only, for comparison)."""
 
 
 @dataclass(frozen=True)
@@ -101,8 +106,6 @@ class Slam:
         """
         self.config = config
         self.device = device
-        tracker = GivenPoses if config.use_true_poses else GicpTracker
-        self._tracker = tracker(config.tracker, sensor_camera, device=device)
         self._trackable = TrackableMap(config.trackable, device=device)
         window = config.window if config.policy == "covisibility" else None
         self._mapper = Mapper(
@@ -116,6 +119,15 @@ class Slam:
         look = None if self._mapper.covisibility is None else self._mapper.covisibility.look
         self._policy: KeyframePolicy = (
             OverlapKeyframes(config.keyframes) if look is None else CovisibilityKeyframes(config.window, look)
+        )
+        self._tracker: Tracker = make_tracker(
+            config.tracker,
+            gicp=config.gicp,
+            photometric=config.photometric,
+            hybrid=config.hybrid,
+            sensor_camera=sensor_camera,
+            renderer=Renderer(self._mapper.map, camera, identity=False),
+            device=device,
         )
         self._scheduler = scheduler or SynchronousScheduler(config.mapper.iterations)
         self._lanes = (OPEN_ROAD, OPEN_ROAD)
@@ -159,7 +171,9 @@ class Slam:
         with lane:
             loss = self._mapper.settle()
             if tracked.kind is not KeyframeKind.NONE and self._mapper.fits_poses:
-                self._policy.moved(self._mapper.keyframe_pose(-1))
+                T_wc = self._mapper.keyframe_pose(-1)
+                self._policy.moved(T_wc)
+                self._tracker.moved(T_wc)
         return self._report(tracked, done, loss, time.perf_counter() - started)
 
     def leave_unmapped(self, tracked: Tracked) -> StepReport:

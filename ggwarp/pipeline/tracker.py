@@ -11,6 +11,7 @@ import numpy as np
 from ggwarp import lie
 from ggwarp.kernels.streams import to_host
 from ggwarp.ops.registration import Registrar, Registration, Stage, Target, build_target, match_distances2
+from ggwarp.pipeline.motion import Motion, depth_time, slide
 from ggwarp.pipeline.observation import Observation, ObservationConfig, observe
 from ggwarp.types import Camera, Float32, Float64, Frame, MapSnapshot, TrackResult, Verdict
 
@@ -57,38 +58,13 @@ class TrackerConfig:
     """Likewise a frame turned farther, radians."""
 
 
-@dataclass
-class _Motion:
-    """The last good pose, at the time of its depth image, and the velocity there."""
-
-    T_wc: Float64
-    time: float
-    velocity: Float64
-    """(v, w) a second, in the camera."""
-    lost: int = 0
-    """Frames lost since."""
-
-    def predicted(self, time: float) -> Float64:
-        """Return the pose at ``time`` by constant velocity; that is trusted for one lost frame only."""
-        if self.lost > 1:
-            return self.T_wc
-        return self.T_wc @ lie.se3_exp(self.velocity * (time - self.time))
-
-    def to_colour(self, frame: Frame) -> Float64:
-        """Return the motion [4, 4] from the camera of the frame's depth to that of its colour."""
-        return lie.se3_exp(self.velocity * (frame.timestamp - _depth_time(frame)))
-
-    def moved(self, T_wc: Float64, time: float) -> _Motion:
-        """Return the motion after a good frame at ``T_wc``."""
-        dt = time - self.time
-        velocity = lie.se3_log(lie.inverse(self.T_wc) @ T_wc) / dt if dt > 0.0 else np.zeros(6)
-        return _Motion(T_wc, time, velocity)
-
-
 class GicpTracker:
     """Frame-to-map generalised ICP (GG-SLAM section 1a).
 
     Keeps the last good pose and the velocity itself; reads neither ``Frame.T_wc`` nor colour.
+
+    Attributes:
+        registration: of the last frame, whether it was believed or not; None where there was none.
     """
 
     def __init__(self, config: TrackerConfig, sensor_camera: Camera, *, device: Any = "cpu") -> None:
@@ -99,7 +75,9 @@ class GicpTracker:
         self._registrar = Registrar(device=device)
         self._target: Target | None = None
         self._target_version: int | None = None
-        self._motion: _Motion | None = None
+        self._motion: Motion | None = None
+        self._before: Motion | None = None
+        self.registration: Registration | None = None
 
     def start(self, frame: Frame, T_wc: Float64) -> TrackResult:
         """Take the first frame, whose pose [4, 4] is given; all its points are new to the map.
@@ -107,7 +85,7 @@ class GicpTracker:
         A frame with too few points is lost: start again with the next one.
         """
         seen = self._observe(frame)
-        self._motion = _Motion(np.array(T_wc, np.float64), _depth_time(frame), np.zeros(6))
+        self._motion = Motion.at_rest(T_wc, depth_time(frame))
         if seen.count < self._config.min_points:
             return _result(self._motion.T_wc, np.eye(4), Verdict.LOST, seen, self._too_few(seen))
         return _result(self._motion.T_wc, np.eye(4), Verdict.CONVERGED, seen)
@@ -121,16 +99,18 @@ class GicpTracker:
         if self._motion is None:
             raise RuntimeError("track() before start(): the first frame's pose must be given")
         seen = self._observe(frame)
-        predicted = self._motion.predicted(_depth_time(frame))
+        self._before, self.registration = self._motion, None
+        predicted = self._motion.predicted(depth_time(frame))
         if seen.count < self._config.min_points:
             return self._lose(frame, predicted, self._too_few(seen), seen)
         self._aim(target, seen.spacing)
         assert self._target is not None
         fit, distances2 = self._search(seen, predicted)
+        self.registration = fit
         verdict, reason = self._judge(fit, predicted, _overlap(distances2))
         if verdict is Verdict.LOST:
             return self._lose(frame, predicted, reason, seen, fit, distances2)
-        self._motion = self._motion.moved(fit.T_wc, _depth_time(frame))
+        self._motion = self._motion.moved(fit.T_wc, depth_time(frame))
         return _result(fit.T_wc, self._motion.to_colour(frame), verdict, seen, reason, fit, distances2)
 
     def _too_few(self, seen: Observation) -> str:
@@ -140,8 +120,22 @@ class GicpTracker:
         """Take the pose [4, 4] as given; say only how the frame's points lie to the map there."""
         seen = self._observe(frame)
         self._aim(target, seen.spacing)
-        self._motion = _Motion(np.array(T_wc, np.float64), _depth_time(frame), np.zeros(6))
+        self._motion = Motion.at_rest(T_wc, depth_time(frame))
         return _result(T_wc, np.eye(4), Verdict.CONVERGED, seen, distances2=self._distances2(seen, T_wc))
+
+    def correct(self, frame: Frame, T_wc: Float64) -> None:
+        """Take ``T_wc`` [4, 4] as the pose of the last frame's colour: somebody knows better."""
+        assert self._motion is not None and self._before is not None
+        T_wd = T_wc @ lie.inverse(self._motion.to_colour(frame))
+        self._motion = self._before.moved(T_wd, depth_time(frame))
+
+    def moved(self, T_wc: Float64) -> None:
+        """The points that poses rest on stay where they are, whatever becomes of a keyframe's pose."""
+
+    def to_colour(self, frame: Frame) -> Float64:
+        """Return the motion [4, 4] from the camera of the last frame's depth to that of its colour."""
+        assert self._motion is not None
+        return self._motion.to_colour(frame)
 
     def _observe(self, frame: Frame) -> Observation:
         image = frame.depth if frame.sensor_depth is None else frame.sensor_depth
@@ -199,21 +193,21 @@ class GicpTracker:
         allowed = 1 + self._motion.lost
         jump = lie.se3_log(lie.inverse(predicted) @ fit.T_wc)
         distance, turn = float(np.linalg.norm(jump[:3])), float(np.linalg.norm(jump[3:]))
-        slide = _slide(fit.information)
+        slid = slide(fit.information)
         jumped = distance > allowed * config.max_jump or turn > allowed * config.max_turn
         jump_reason = f"jump of {distance:.2f} m, {np.degrees(turn):.0f} degrees"
         overlap_reason = f"overlap {overlap:.2f} with the map"
-        slide_reason = f"position free to slide by {slide:.3f} m"
+        slide_reason = f"position free to slide by {slid:.3f} m"
         if overlap < config.lost_overlap:
             return Verdict.LOST, overlap_reason
-        if not np.isfinite(slide):
+        if not np.isfinite(slid):
             return Verdict.LOST, "the geometry does not fix the pose"
         # One weakness alone can be the scene's; two together are a wrong pose.
         if jumped and overlap < config.sure_overlap:
             return Verdict.LOST, f"{jump_reason}, {overlap_reason}"
-        if slide > config.max_slide and overlap < config.poor_overlap:
+        if slid > config.max_slide and overlap < config.poor_overlap:
             return Verdict.LOST, f"{slide_reason}, {overlap_reason}"
-        if slide > config.max_slide:
+        if slid > config.max_slide:
             return Verdict.POOR, slide_reason
         if overlap < config.poor_overlap:
             return Verdict.POOR, overlap_reason
@@ -234,21 +228,8 @@ class GicpTracker:
         return _result(predicted, shift, Verdict.LOST, seen, reason, fit, distances2)
 
 
-def _depth_time(frame: Frame) -> float:
-    return frame.timestamp if frame.depth_timestamp is None else frame.depth_timestamp
-
-
 def _overlap(distances2: Float32) -> float:
     return float(np.isfinite(distances2).mean()) if len(distances2) else 0.0
-
-
-def _slide(information: Float64) -> float:
-    """Return the largest standard deviation of the position, metres; inf where it is not determined."""
-    values, vectors = np.linalg.eigh(information)
-    if not np.isfinite(values).all() or values[0] <= 1e-12 * max(values[-1], 1e-300):
-        return float("inf")
-    covariance = (vectors / values) @ vectors.T
-    return float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
 
 
 def _result(

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The pose at which the map looks like the picture: render, align the picture to that, render again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ggwarp import lie
+from ggwarp.map.renderer import Renderer
+from ggwarp.ops.alignment import Aligner, Alignment, AlignmentConfig, Prior
+from ggwarp.pipeline.motion import slide
+from ggwarp.types import Exposure, Float64, Frame
+
+
+@dataclass(frozen=True)
+class RefinementConfig:
+    """How a pose is refined by colour, and when the result is believed."""
+
+    alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
+    renders: int = 2
+    """Renders at most: each from where the last alignment ended."""
+    tolerance: float = 1e-4
+    """No further render when the pose moved less, metres and radians."""
+    min_share: float = 0.2
+    """A picture of which less can be compared with the map says nothing of the pose."""
+    max_cost: float = 5.0
+    """Nor does one that differs more: the robust cost of a pixel, from 0 to robust_scale^2."""
+    max_slide: float = 0.02
+    """Nor does one that leaves the position more uncertain along some direction, metres."""
+
+
+@dataclass(frozen=True)
+class Refined:
+    """A pose found by colour.
+
+    Attributes:
+        T_wc: [4, 4] camera-to-world.
+        exposure: (a, b) of the picture: e^a render + b.
+        share: of the pixels that could be compared.
+        cost: mean robust cost of a pixel.
+        renders, iterations: spent.
+        objection: why not to believe it, one clause; empty: nothing.
+    """
+
+    T_wc: Float64
+    exposure: tuple[float, float]
+    share: float
+    cost: float
+    renders: int
+    iterations: int
+    objection: str
+
+    def as_exposure(self) -> Exposure:
+        """Return the exposure as the map takes it."""
+        return Exposure.uniform(*self.exposure)
+
+
+class Refiner:
+    """Refines poses of one camera against one map; keeps the last exposure to start from."""
+
+    def __init__(self, config: RefinementConfig, renderer: Renderer, *, device: Any) -> None:
+        """Prepare to compare pictures with what ``renderer`` renders."""
+        self._config = config
+        self._renderer = renderer
+        self._aligner = Aligner(config.alignment, renderer.camera, device=device)
+        self._exposure = (0.0, 0.0)
+
+    def refine(self, frame: Frame, T_wc: Float64, *, prior: Prior | None = None) -> Refined:
+        """Search the pose of ``frame``'s colour near ``T_wc`` [4, 4].
+
+        Args:
+            prior: what else is known of the pose.
+        """
+        self._aligner.take_picture(frame.rgb)
+        T_cw, exposure = lie.inverse(T_wc), self._exposure
+        renders = iterations = 0
+        moved = np.inf
+        found: Alignment | None = None
+        while renders < self._config.renders and moved >= self._config.tolerance:
+            self._renderer.render(lie.inverse(T_cw))
+            self._aligner.take_render(self._renderer.image, self._renderer.transmittance, T_cw)
+            found = self._aligner.align(T_cw, exposure=exposure, prior=prior)
+            moved = float(np.abs(lie.se3_log(found.T_cw @ lie.inverse(T_cw))).max())
+            T_cw, exposure = found.T_cw, found.exposure
+            renders += 1
+            iterations += found.iterations
+        assert found is not None, "a refinement renders at least once"
+        return self._judged(found, renders, iterations, prior)
+
+    def _judged(self, found: Alignment, renders: int, iterations: int, prior: Prior | None) -> Refined:
+        c, system, camera = self._config, found.system, self._renderer.camera
+        share = system.pixels / (camera.width * camera.height)
+        information = c.alignment.independence * system.H[:6, :6]
+        slid = slide(information if prior is None else information + prior.information)
+        objection = ""
+        if share < c.min_share:
+            objection = f"only {share:.2f} of the picture can be compared with the map"
+        elif system.mean_cost > c.max_cost:
+            objection = f"the picture differs from the map by {system.mean_cost:.1f} noise variances a pixel"
+        elif slid > c.max_slide:
+            objection = f"colour leaves the position free to slide by {slid:.3f} m"
+        if not objection:
+            self._exposure = found.exposure
+        return Refined(
+            lie.inverse(found.T_cw), found.exposure, share, system.mean_cost, renders, iterations, objection
+        )

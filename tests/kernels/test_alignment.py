@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Direct alignment's normal equations, against NumPy's residuals and their finite differences."""
+
+import numpy as np
+import pytest
+import warp as wp
+
+from ggwarp import lie
+from ggwarp.kernels import alignment
+from ggwarp.kernels.project import intrinsics_of
+from ggwarp.types import Camera
+
+CAMERA = Camera(70, 11, 60.0, 62.0, 34.2, 5.1)
+NOISE, ROBUST, EDGE = 0.05, 3.0, 0.05
+EXPOSURE = (0.12, -0.03)
+MOTION = lie.se3_exp([0.03, -0.02, 0.015, 0.004, -0.006, 0.01])
+
+
+def smooth(rng: np.random.Generator, h: int, w: int) -> np.ndarray:
+    v, u = np.mgrid[:h, :w]
+    waves = [np.sin(a * u + b * v + c) for a, b, c in rng.uniform(0.05, 0.5, (3, 3))]
+    return 0.5 + 0.3 * np.stack(waves, -1)
+
+
+def views(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    h, w = CAMERA.height, CAMERA.width
+    rendered = np.zeros((h, w, 4), np.float32)
+    rendered[..., :3] = smooth(rng, h, w)
+    v, u = np.mgrid[:h, :w]
+    rendered[..., 3] = 2.0 + 0.004 * u + 0.01 * v
+    rendered[3, 20:23, 3] = 0.0  # a hole
+    rendered[:, 50:, 3] += 0.7  # an edge
+    observed = np.ones((h, w, 4), np.float32)
+    observed[..., :3] = smooth(rng, h, w)
+    return rendered, observed
+
+
+def compared(rendered: np.ndarray) -> np.ndarray:
+    z = rendered[..., 3]
+    inner, jump = z[1:-1, 1:-1], EDGE * z[1:-1, 1:-1]
+    ok = inner > 0
+    for other in (z[1:-1, :-2], z[1:-1, 2:], z[:-2, 1:-1], z[2:, 1:-1]):
+        ok &= np.abs(other - inner) <= jump
+    return np.argwhere(ok) + 1
+
+
+def residuals(
+    rendered: np.ndarray, observed: np.ndarray, pixels: np.ndarray, T: np.ndarray, a: float, b: float
+) -> np.ndarray:
+    """[n, 3]; NaN where the pixel is not seen."""
+    v, u = pixels.T
+    seen = rendered[v, u].astype(np.float64)
+    z = seen[:, 3]
+    x = np.stack([(u - CAMERA.cx) * z / CAMERA.fx, (v - CAMERA.cy) * z / CAMERA.fy, z], -1)
+    x = lie.transform_points(T, x)
+    p = CAMERA.fx * x[:, 0] / x[:, 2] + CAMERA.cx
+    q = CAMERA.fy * x[:, 1] / x[:, 2] + CAMERA.cy
+    h, w = observed.shape[:2]
+    inside = (p >= 0) & (q >= 0) & (p < w - 1) & (q < h - 1) & (x[:, 2] > 0.05)
+    p, q = np.where(inside, p, 0.0), np.where(inside, q, 0.0)
+    j, i = p.astype(int), q.astype(int)
+    s, t = (p - j)[:, None], (q - i)[:, None]
+    o = observed[..., :3].astype(np.float64)
+    value = (1 - t) * ((1 - s) * o[i, j] + s * o[i, j + 1])
+    value += t * ((1 - s) * o[i + 1, j] + s * o[i + 1, j + 1])
+    r = np.exp(a) * seen[:, :3] + b - value
+    return np.where(inside[:, None], r, np.nan)
+
+
+def system(rendered: np.ndarray, observed: np.ndarray, motion: np.ndarray, device: str) -> np.ndarray:
+    arrays = [wp.array(x, dtype=wp.vec4, device=device) for x in (rendered, observed)]
+    sums = wp.empty(
+        (alignment.item_count(*rendered.shape[:2]), alignment.SUMS), dtype=wp.float32, device=device
+    )
+    out = wp.zeros(alignment.SUMS, dtype=wp.float64, device=device)
+    alignment.linearise(
+        *arrays,
+        intrinsics_of(CAMERA),
+        motion=wp.mat44(*motion.astype(np.float32).ravel().tolist()),
+        exposure=EXPOSURE,
+        noise=(NOISE, ROBUST, EDGE),
+        sums=sums,
+        system=out,
+        device=device,
+    )
+    return out.numpy()
+
+
+def test_normal_equations_are_those_of_the_residuals(device: str, rng: np.random.Generator) -> None:
+    rendered, observed = views(rng)
+    pixels = compared(rendered)
+    r = residuals(rendered, observed, pixels, MOTION, *EXPOSURE)
+    seen = np.isfinite(r).all(1)
+    J = np.zeros((*r.shape, 8))
+    for k in range(8):
+        step = np.zeros(8)
+        step[k] = 1e-6
+        ends = [
+            residuals(
+                rendered,
+                observed,
+                pixels,
+                lie.se3_exp(sign * step[:6]) @ MOTION,
+                EXPOSURE[0] + sign * step[6],
+                EXPOSURE[1] + sign * step[7],
+            )
+            for sign in (1.0, -1.0)
+        ]
+        J[..., k] = (ends[0] - ends[1]) / 2e-6
+    # At a pixel's border the interpolated picture has a kink, where differences say nothing.
+    smooth_there = np.isfinite(J).all((1, 2)) & (np.abs(J).max((1, 2)) < 1e3)
+    assert smooth_there[seen].all()
+    e2 = (r[seen] ** 2).sum(1) / NOISE**2
+    share = ROBUST**2 / (ROBUST**2 + e2)
+    w = share**2 / NOISE**2
+    H = np.einsum("n,nci,ncj->ij", w, J[seen], J[seen])
+    g = np.einsum("n,nci,nc->i", w, J[seen], r[seen])
+
+    out = system(rendered, observed, MOTION, device)
+    assert out[45] == seen.sum() > 300
+    np.testing.assert_allclose(out[44], (e2 * share).sum(), rtol=1e-4)
+    np.testing.assert_allclose(out[:36], H[np.triu_indices(8)], rtol=2e-3, atol=2e-4 * np.abs(H).max())
+    np.testing.assert_allclose(out[36:44], g, rtol=2e-3, atol=2e-4 * np.abs(g).max())
+
+
+def test_a_second_call_gives_the_same_bits(device: str, rng: np.random.Generator) -> None:
+    rendered, observed = views(rng)
+    first = system(rendered, observed, MOTION, device)
+    assert (system(rendered, observed, MOTION, device) == first).all()
+
+
+@pytest.mark.parametrize("motion", [lie.se3_exp([0, 0, -9.0, 0, 0, 0]), lie.se3_exp([50.0, 0, 0, 0, 0, 0])])
+def test_what_is_behind_or_beside_the_camera_is_not_compared(device: str, rng, motion: np.ndarray) -> None:
+    assert not system(*views(rng), motion, device).any()
+
+
+def test_without_depth_nothing_is_compared(device: str, rng: np.random.Generator) -> None:
+    rendered, observed = views(rng)
+    rendered[..., 3] = 0.0
+    assert not system(rendered, observed, MOTION, device).any()
+
+
+def test_halving_averages_and_knows_edges(device: str, rng: np.random.Generator) -> None:
+    fine = rng.uniform(0, 1, (6, 9, 4)).astype(np.float32)
+    fine[..., 3] = 2.0 + 0.01 * fine[..., 0]
+    fine[0, 0, 3], fine[2, 2, 3] = 0.0, 3.0
+    coarse = wp.zeros((3, 4), dtype=wp.vec4, device=device)
+    alignment.halve(wp.array(fine, dtype=wp.vec4, device=device), edge=EDGE, coarse=coarse, device=device)
+    expected = fine[:6, :8].reshape(3, 2, 4, 2, 4).mean((1, 3))
+    expected[0, 0, 3] = expected[1, 1, 3] = 0.0
+    np.testing.assert_allclose(coarse.numpy(), expected, rtol=1e-6)
+
+
+def test_views_of_a_picture_and_of_a_render(device: str, rng: np.random.Generator) -> None:
+    rgb = rng.integers(0, 256, (5, 7, 3)).astype(np.uint8)
+    view = wp.zeros((5, 7), dtype=wp.vec4, device=device)
+    alignment.pack_picture(wp.array(rgb, dtype=wp.uint8, device=device), view=view, device=device)
+    np.testing.assert_allclose(view.numpy()[..., :3], rgb / 255.0, rtol=1e-6)
+
+    image = rng.uniform(0.1, 1, (4, 16, 16)).astype(np.float32)
+    transmittance = rng.uniform(0, 0.1, (16, 16)).astype(np.float32)
+    alignment.pack_render(
+        wp.array(image, device=device),
+        wp.array(transmittance, device=device),
+        min_opacity=0.95,
+        view=view,
+        device=device,
+    )
+    opacity = 1.0 - transmittance[:5, :7]
+    depth = np.where(opacity >= 0.95, image[3, :5, :7] / opacity, 0.0)
+    expected = np.concatenate([image[:3, :5, :7], depth[None]]).transpose(1, 2, 0)
+    np.testing.assert_allclose(view.numpy(), expected, rtol=1e-5)
