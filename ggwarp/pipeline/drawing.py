@@ -59,7 +59,7 @@ class WindowDrawing:
             pose: keyframe -> its camera-to-world [4, 4] as it is now.
         """
         self._rng = rng
-        self._config = config
+        self.config = config
         self._look = look
         self._pose = pose
         self._count = 0
@@ -70,8 +70,13 @@ class WindowDrawing:
         self.window.append(self._count)
         self._count += 1
         self._round = []
-        for i in reversed(leavers([self._pose(k) for k in self.window], self._config, self._look)):
+        for i in reversed(leavers([self._pose(k) for k in self.window], self.config, self._look)):
             del self.window[i]
+
+    @property
+    def full(self) -> bool:
+        """Whether the window holds as many keyframes as it may."""
+        return len(self.window) >= self.config.size
 
     def draw(self) -> int:
         if not self._round:

@@ -11,6 +11,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ggwarp.io.ply import PlyGaussians
+from ggwarp.kernels.streams import to_host
 from ggwarp.map.covisibility import Covisibility
 from ggwarp.map.gaussians import GaussianMap
 from ggwarp.map.renderer import Renderer
@@ -26,7 +27,7 @@ from ggwarp.pipeline.exposure import estimate_exposure
 from ggwarp.pipeline.fitting import FitConfig, Fitter
 from ggwarp.pipeline.seeding import SeedingConfig, seed_density, seed_gaussians
 from ggwarp.pipeline.views import upload
-from ggwarp.pipeline.window import WindowConfig
+from ggwarp.pipeline.window import WindowConfig, unconfirmed
 from ggwarp.types import Camera, Exposure, Float32, Float64, Frame, Rendered
 
 
@@ -104,8 +105,9 @@ class Mapper:
         self._renderer = Renderer(self.map, camera, identity_shapes=config.classifier.shapes)
         self.covisibility = None if window is None else Covisibility(self.map, camera)
         self._guesser = DepthGuesser(config.depth_guess, camera) if monocular else None
+        self._drawing = self._make_drawing(window)
         self._fitter = Fitter(
-            config, self.map, self._renderer, self.classifier, self._drawing(window), recorded=recorded
+            config, self.map, self._renderer, self.classifier, self._drawing, recorded=recorded
         )
 
     @property
@@ -146,12 +148,27 @@ class Mapper:
             lesson=lesson,
             rng=self._identity_rng,
             exposure=exposure,
+            birth=len(self._fitter.keyframes),
         )
         self.map.append(batch)
         targets = None if lesson is None or frame.mask is None else lesson.targets
         if self._guesser is not None:
             frame = replace(frame, depth=None)
         self._fitter.add(upload(frame, T_wc, targets, exposure, device=self._device))
+        self._confirm()
+
+    def _confirm(self) -> None:
+        """Remove what too few keyframes of a full window see."""
+        drawing, look = self._drawing, None if self.covisibility is None else self.covisibility.look
+        if look is None or not isinstance(drawing, WindowDrawing) or not drawing.full:
+            return
+        confirmations = drawing.config.confirmations
+        if confirmations == 0:
+            return
+        sights = {number: look(self.keyframe_pose(number)).seen for number in drawing.window}
+        births = to_host(self.map.fields["births"])[: self.map.count]
+        kept = ~unconfirmed(births, sights, confirmations)
+        self.map.keep(wp.array(kept.astype(np.int32), dtype=int, device=self._device))
 
     def remember(self, frame: Frame, T_wc: Float64) -> None:
         """Keep a frame, tracked at ``T_wc`` [4, 4], for the depth of later ones; every frame, in order."""
@@ -247,7 +264,7 @@ class Mapper:
         sure = probabilities > self._config.object_probability
         return np.where(sure, self.classes.decode(classes), NO_OBJECT).astype(np.int32), probabilities
 
-    def _drawing(self, window: WindowConfig | None) -> Drawing:
+    def _make_drawing(self, window: WindowConfig | None) -> Drawing:
         if window is None:
             return RandomDrawing(self._rng)
         assert self.covisibility is not None

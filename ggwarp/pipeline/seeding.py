@@ -118,6 +118,7 @@ def seed_gaussians(
     lesson: Lesson | None,
     rng: np.random.Generator,
     exposure: Exposure = _NEUTRAL,
+    birth: int = 0,
 ) -> GaussianBatch:
     """Return the Gaussians that ``frame`` adds at ``density`` (GG-SLAM 2.3, c).
 
@@ -129,6 +130,7 @@ def seed_gaussians(
         lesson: what the frame says of objects; None: nothing.
         rng: draws the identities.
         exposure: of the frame's picture.
+        birth: number of the keyframe.
     """
     assert frame.depth is not None
     rows, cols = choose_pixels(density, frame.index)
@@ -154,6 +156,7 @@ def seed_gaussians(
         identities=None
         if codes is None
         else _identities(codes, None if lesson is None else lesson.seeds[rows, cols], count, config, rng),
+        births=np.full(count, birth, np.int32),
         votes=None if lesson is None else (lesson.labels[rows, cols] >= 0).astype(np.int32),
     )
 

@@ -7,10 +7,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ggwarp.map.covisibility import Sight, intersection_over_union, overlap_coefficient
+from ggwarp.map.covisibility import Seen, Sight, intersection_over_union, overlap_coefficient
 from ggwarp.pipeline.keyframes import KeyframeKind
 from ggwarp.types import Float64, TrackResult, Verdict
+
+_RECENT = 3
 
 Look = Callable[[Float64], Sight]
 """What a camera-to-world pose [4, 4] sees of the map."""
@@ -30,6 +33,9 @@ class WindowConfig:
     """Farther than this share of the median depth, a frame is a keyframe whatever it sees."""
     size: int = 10
     """Keyframes in the window."""
+    confirmations: int = 0
+    """Gaussians that the keyframes before the newest brought and that fewer others of a full window see are
+    removed; MonoGS without depth: 3."""
     cutoff: float = 0.4
     """A keyframe leaves the window when it shares no more than this with the newest (overlap coefficient)."""
 
@@ -99,6 +105,22 @@ def leavers(poses: list[Float64], config: WindowConfig, look: Look) -> list[int]
         centres = np.array([T[:3, 3] for T in poses])
         gone.append(max(rest, key=lambda i: _crowding(i, [*rest, len(others) - 1], centres)))
     return sorted(gone)
+
+
+def unconfirmed(births: NDArray[np.int32], sights: dict[int, Seen], confirmations: int) -> Seen:
+    """Return [n] which Gaussians too few keyframes confirm, floaters of a guessed depth (MonoGS 3.3.3).
+
+    Only those that the keyframes just before the newest one brought are looked at: older ones passed, and the
+    newest's have not had their chance.
+
+    Args:
+        births: [n] number of the keyframe that brought each Gaussian.
+        sights: keyframe of the window -> what it sees, [n].
+        confirmations: keyframes other than its own that must see a Gaussian.
+    """
+    recent = sorted(sights)[-1 - _RECENT : -1]
+    others = np.sum([seen & (births != number) for number, seen in sights.items()], axis=0)
+    return np.isin(births, recent) & (others < confirmations)
 
 
 def _crowding(i: int, window: list[int], centres: Float64) -> float:

@@ -8,6 +8,7 @@ from ggwarp import lie
 from ggwarp.datasets.synthetic import SyntheticOffice
 from ggwarp.map.gaussians import GaussianMap
 from ggwarp.pipeline.mapper import Mapper, MapperConfig
+from ggwarp.pipeline.window import WindowConfig
 from ggwarp.types import Frame
 
 OFFICE = SyntheticOffice(scale=0.1)
@@ -187,6 +188,24 @@ def test_monocular_keyframes_get_their_depth_from_the_map_and_the_motion(device:
     assert np.median(np.abs(z / true[rows, columns] - 1.0)) < 0.08
     assert not any(keyframe.has_depth for keyframe in mapper._fitter.keyframes)
     assert np.isfinite((mapper.iterate(), mapper.settle())[1])
+
+
+def test_a_full_window_drops_what_it_does_not_confirm(device: str) -> None:
+    config = WindowConfig(size=3, cutoff=0.0, confirmations=2)
+    shots = [0, 1, 2, 20]  # the last but one brings what the last does not see
+    counts = {}
+    for name, window in (("kept", dataclasses.replace(config, confirmations=0)), ("dropped", config)):
+        mapper = Mapper(MapperConfig(), OFFICE.camera, device=device, use_identity=False, window=window)
+        for number, index in enumerate(shots):
+            frame = OFFICE[index]
+            assert frame.T_wc is not None
+            mapper.insert(frame, frame.T_wc)
+            births = mapper.map.fields["births"].numpy()[: mapper.map.count]
+            counts[name, number] = np.bincount(births, minlength=4)[:4].tolist()
+            assert set(births) <= set(range(number + 1))
+    assert counts["kept", 1] == counts["dropped", 1], "not before the window is full"
+    assert sum(counts["dropped", 3]) < sum(counts["kept", 3])
+    assert counts["dropped", 3][3] > 500, "the newest have not had their chance"
 
 
 def test_the_isotropic_term_keeps_gaussians_round(device: str, frame: Frame) -> None:

@@ -3,7 +3,7 @@ import numpy as np
 
 from ggwarp.map.covisibility import Sight, intersection_over_union, overlap_coefficient
 from ggwarp.pipeline.keyframes import KeyframeKind
-from ggwarp.pipeline.window import CovisibilityKeyframes, WindowConfig, leavers
+from ggwarp.pipeline.window import CovisibilityKeyframes, WindowConfig, leavers, unconfirmed
 from ggwarp.types import Float64, TrackResult, Verdict
 
 CONFIG = WindowConfig(interval=2, overlap=0.9, min_translation=0.02, translation=0.2, size=4, cutoff=0.4)
@@ -83,3 +83,19 @@ def test_a_window_that_is_too_full_loses_its_most_crowded_keyframe() -> None:
     # sqrt(d_0) sum 1 / d_j: 1 and 2 are crowded, and 1 is the farther one from the newest.
     assert leavers(poses, CONFIG, look) == [1]
     assert leavers(poses[1:], CONFIG, look) == []
+
+
+def test_gaussians_of_late_are_dropped_unless_other_keyframes_see_them() -> None:
+    births = np.array([0, 3, 3, 5, 5, 6, 6, 7, 7], np.int32)
+    sights = {
+        0: [0, 0, 0, 0, 0, 0, 1, 0, 0],
+        3: [0, 1, 0, 0, 0, 0, 1, 0, 0],
+        5: [0, 1, 0, 1, 1, 0, 1, 0, 0],
+        6: [0, 1, 0, 0, 1, 1, 1, 0, 0],
+        7: [0, 1, 1, 0, 1, 0, 0, 1, 1],
+    }
+    seen = {number: np.array(row, bool) for number, row in sights.items()}
+    gone = unconfirmed(births, seen, 2)
+    # Old ones passed, the newest's have not had their chance; a keyframe does not confirm its own.
+    assert gone.tolist() == [False, False, True, True, False, True, False, False, False]
+    assert not unconfirmed(births, seen, 0).any()
