@@ -22,12 +22,15 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ggwarp.objects.edit import extract, join, motion_about, move, recolour, relabel, remove
+    from ggwarp.objects.filling import FillConfig, fill_removed
+    from ggwarp.objects.inpainting import inpaint_opencv, inpaint_shade
     from ggwarp.objects.inventory import ObjectRecord
     from ggwarp.objects.saved import RunError, SavedRun, load_run, save_run
     from ggwarp.objects.selection import SelectionConfig, select
     from ggwarp.objects.view import MapView, best_views
 
 __all__ = [
+    "FillConfig",
     "MapView",
     "ObjectRecord",
     "RunError",
@@ -35,6 +38,9 @@ __all__ = [
     "SelectionConfig",
     "best_views",
     "extract",
+    "fill_removed",
+    "inpaint_opencv",
+    "inpaint_shade",
     "join",
     "load_run",
     "motion_about",
@@ -48,6 +54,8 @@ __all__ = [
 
 _HOMES = {
     "edit": ["extract", "join", "motion_about", "move", "recolour", "relabel", "remove"],
+    "filling": ["FillConfig", "fill_removed"],
+    "inpainting": ["inpaint_opencv", "inpaint_shade"],
     "inventory": ["ObjectRecord"],
     "saved": ["RunError", "SavedRun", "load_run", "save_run"],
     "selection": ["SelectionConfig", "select"],

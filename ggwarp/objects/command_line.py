@@ -100,6 +100,13 @@ def _make_parser() -> argparse.ArgumentParser:
         "--axis", type=_number, nargs=3, metavar=("X", "Y", "Z"), help="turn about this, with --angle"
     )
     move.add_argument("--angle", type=_number, metavar="DEGREES", help="by so much about --axis")
+    for one, default in ((remove, True), (move, False)):
+        one.add_argument(
+            "--fill",
+            action=argparse.BooleanOptionalAction,
+            default=default,
+            help=f"fill the holes that it leaves (default here: {'yes' if default else 'no'})",
+        )
     recolor = verb("recolor", "paint an object, keeping light and shade", folder)
     label = verb("label", "name an object", folder)
     for one in (move, recolor, label):
@@ -129,6 +136,12 @@ def _add_selection(parser: argparse.ArgumentParser, *, cut_outliers: bool) -> No
         type=_number,
         metavar="P",
         help="those whose class probability is above P (published: 0.3); default: those with the object's id",
+    )
+    group.add_argument(
+        "--adopt",
+        action=argparse.BooleanOptionalAction,
+        default=True,
+        help="add those on its surface that are called something that is far away (default: yes)",
     )
     group.add_argument(
         "--cut-outliers",

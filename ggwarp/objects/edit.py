@@ -34,18 +34,19 @@ def remove(gaussians: PlyGaussians, selected: Bools) -> PlyGaussians:
     return extract(gaussians, ~selected)
 
 
-def join(first: PlyGaussians, second: PlyGaussians) -> PlyGaussians:
-    """Return the Gaussians of both maps.
+def join(first: PlyGaussians, *others: PlyGaussians) -> PlyGaussians:
+    """Return the Gaussians of all maps, in this order.
 
     Raises:
-        ValueError: one has object ids or identities and the other has not.
+        ValueError: one has object ids or identities and another has not.
     """
     arrays: dict[str, Any] = {}
-    for name, one in vars(first).items():
-        other = getattr(second, name)
-        if (one is None) != (other is None):
-            raise ValueError(f"only one of the maps has {name}")
-        arrays[name] = None if one is None else np.concatenate([one, other])
+    for name in vars(first):
+        parts = [getattr(gaussians, name) for gaussians in (first, *others)]
+        missing = [part is None for part in parts]
+        if any(missing) and not all(missing):
+            raise ValueError(f"only some of the maps have {name}")
+        arrays[name] = None if missing[0] else np.concatenate(parts)
     return PlyGaussians(**arrays)
 
 

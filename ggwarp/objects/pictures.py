@@ -9,14 +9,13 @@ from typing import Any
 
 import cv2
 import numpy as np
-import warp as wp
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
 from ggwarp.io.atomic import atomic_write
 from ggwarp.io.ply import write_ply
-from ggwarp.kernels import loading
+from ggwarp.objects.device import ready_device
 from ggwarp.objects.edit import extract
 from ggwarp.objects.inventory import ObjectRecord
 from ggwarp.objects.saved import RunError, SavedRun
@@ -61,7 +60,7 @@ def write_show(run: SavedRun, record: ObjectRecord, step: argparse.Namespace, fo
         RunError: a file exists, or nothing is to be seen.
     """
     chosen = chosen_gaussians(run, record, step)
-    view = open_view(run, step.device)
+    view = MapView(run.gaussians, run.camera, device=ready_device(step.device))
     indices = _views(view, run, chosen, record, step.views)
     files = _free([folder / f"view{k + 1}.png" for k in range(len(indices))])
     for path, index in zip(files, indices, strict=True):
@@ -80,7 +79,9 @@ def write_extract(run: SavedRun, record: ObjectRecord, step: argparse.Namespace,
         RunError: a file exists, or nothing is to be seen.
     """
     chosen = chosen_gaussians(run, record, step)
-    indices = _views(open_view(run, step.device), run, chosen, record, step.views)
+    device = ready_device(step.device)
+    whole = MapView(run.gaussians, run.camera, device=device)
+    indices = _views(whole, run, chosen, record, step.views)
     ply = folder / "object.ply"
     files = [folder / f"alone{k + 1}.png" for k in range(len(indices))]
     _free([ply, *files])
@@ -88,7 +89,7 @@ def write_extract(run: SavedRun, record: ObjectRecord, step: argparse.Namespace,
     folder.mkdir(parents=True, exist_ok=True)
     write_ply(ply, **vars(alone))
     camera = run.camera.scaled(_ZOOM)
-    view = MapView(alone, camera, device=device_of(step.device))
+    view = MapView(alone, camera, device=device)
     for path, index in zip(files, indices, strict=True):
         seen = view.render(run.poses[index])
         opacity = seen.opacity[..., None]
@@ -103,34 +104,6 @@ def lit(rgb: Float32, coverage: Float32) -> Float32:
     grey = rgb @ np.array([0.299, 0.587, 0.114], np.float32)
     share = np.clip(coverage, 0.0, 1.0)[..., None]
     return np.asarray(share * rgb + (1.0 - share) * _DIMMED * grey[..., None], np.float32)
-
-
-def open_view(run: SavedRun, device: str | None) -> MapView:
-    """Return a view of the map of ``run``, with the kernels loaded.
-
-    Raises:
-        RunError: there is no such device.
-    """
-    name = device_of(device)
-    modules = loading.imported_kernel_modules(name)
-    if loading.uncompiled(modules, name):
-        print("compiling kernels (first run only)", flush=True)
-    loading.load(modules, name)
-    return MapView(run.gaussians, run.camera, device=name)
-
-
-def device_of(wanted: str | None) -> str:
-    """Return the device that ``wanted`` (None: auto) means here.
-
-    Raises:
-        RunError: there is no such device.
-    """
-    loading.init_quietly()
-    known = ["cpu", *(d.alias for d in wp.get_cuda_devices())]
-    name = known[-1 if len(known) == 1 else 1] if wanted in (None, "auto") else wanted
-    if name not in known:
-        raise RunError(f"--device {wanted}: no such device; this machine has {', '.join(known)}")
-    return name
 
 
 def _views(

@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggwarp import lie
+from ggwarp.io.ply import PlyGaussians
 from ggwarp.objects import edit
+from ggwarp.objects.device import ready_device
 from ggwarp.objects.inventory import ObjectRecord, centre_of
 from ggwarp.objects.saved import RunError, SavedRun
 from ggwarp.objects.selection import SelectionConfig, select
@@ -37,7 +39,9 @@ def chosen_gaussians(run: SavedRun, record: ObjectRecord, step: argparse.Namespa
     """
     if step.probability is not None and not 0.0 <= step.probability < 1.0:
         raise RunError(f"--probability {step.probability:g}: give a number from 0 up to 1")
-    config = SelectionConfig(step.probability, step.cut_outliers, step.fill_hull)
+    config = SelectionConfig(
+        step.probability, adopt=step.adopt, cut_outliers=step.cut_outliers, fill_hull=step.fill_hull
+    )
     try:
         chosen = select(run.gaussians, record.id, config, classifier=run.classifier)
     except ValueError as error:
@@ -54,19 +58,35 @@ def _remove(run: SavedRun, step: argparse.Namespace) -> SavedRun:
     chosen = np.any([chosen_gaussians(run, record, step) for record in records], axis=0)
     if chosen.all():
         raise RunError("remove: nothing would be left of the map")
-    return run.edited(edit.remove(run.gaussians, chosen), {"edit": "remove", "ids": [r.id for r in records]})
+    left, added = _without(run, chosen, step)
+    return run.edited(left, {"edit": "remove", "ids": [r.id for r in records], "filled": added})
+
+
+def _without(run: SavedRun, chosen: Bools, step: argparse.Namespace) -> tuple[PlyGaussians, int]:
+    """Return the map without ``chosen`` and, where holes are filled, how many Gaussians fill them."""
+    left = edit.remove(run.gaussians, chosen)
+    if not step.fill:
+        return left, 0
+    from ggwarp.objects import filling  # kernels, only needed here
+
+    device = ready_device(step.device)
+    filled, added = filling.fill_removed(run.gaussians, chosen, run.camera, run.poses, device=device)
+    return filled, added
 
 
 def _move(run: SavedRun, step: argparse.Namespace) -> SavedRun:
     record = run.find(step.id)
+    rotation = _rotation(step)
     chosen = chosen_gaussians(run, record, step)
-    T = edit.motion_about(
-        centre_of(run.gaussians.means[chosen]),
-        rotation=_rotation(step),
-        translation=step.translate or [0.0] * 3,
-    )
+    centre = centre_of(run.gaussians.means[chosen])
+    T = edit.motion_about(centre, rotation=rotation, translation=step.translate or [0.0] * 3)
+    moved = edit.move(run.gaussians, chosen, T)
     entry = {"edit": "move", "id": record.id, "T": T.tolist()}
-    return run.edited(edit.move(run.gaussians, chosen, T), entry)
+    if step.fill:
+        left, added = _without(run, chosen, step)
+        moved = edit.join(left, edit.extract(moved, chosen))
+        entry["filled"] = added
+    return run.edited(moved, entry)
 
 
 def _rotation(step: argparse.Namespace) -> Float64:

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A board before a shaded wall: what is behind it, and what is put there."""
+
+import numpy as np
+import pytest
+
+from ggwarp.io.ply import PlyGaussians
+from ggwarp.map.gaussians import SH_C0
+from ggwarp.objects.edit import extract, join, remove
+from ggwarp.objects.filling import fill_removed
+from ggwarp.objects.holes import FREE, SEEN, UNSEEN, find_holes
+from ggwarp.objects.sights import look
+from ggwarp.objects.view import MapView
+from ggwarp.types import Camera
+
+CAMERA = Camera(120, 80, 140.0, 140.0, 59.5, 39.5)
+SIDE, FRONT, WALL = 0.2, 2.5, 3.0
+POSES = np.stack([np.eye(4)] * 5)
+POSES[:, 0, 3] = [-0.4, -0.2, 0.0, 0.2, 0.4]
+
+
+def _flat(points: np.ndarray, normal_axis: int, colours: np.ndarray, object_id: int) -> PlyGaussians:
+    n = len(points)
+    scales = np.full((n, 3), np.log(0.024), np.float32)
+    scales[:, normal_axis] = np.log(0.004)
+    return PlyGaussians(
+        points.astype(np.float32),
+        np.tile(np.float32([1, 0, 0, 0]), (n, 1)),
+        scales,
+        np.full(n, 3.0, np.float32),
+        ((colours - 0.5) / SH_C0).astype(np.float32),
+        np.full(n, object_id, np.int32),
+        np.full((n, 16), object_id, np.float32),
+    )
+
+
+def _grid(low: float, high: float, step: float = 0.03) -> np.ndarray:
+    at = np.arange(low, high + 1e-9, step)
+    return np.stack(np.meshgrid(at, at), axis=-1).reshape(-1, 2)
+
+
+def _wall_colours(points: np.ndarray) -> np.ndarray:
+    return np.stack([0.5 + 0.2 * points[:, 0], 0.5 + 0.2 * points[:, 1], np.full(len(points), 0.4)], axis=1)
+
+
+def _hidden(points: np.ndarray) -> np.ndarray:
+    """Return which points of the wall the board hides from every pose."""
+    hidden = np.ones(len(points), bool)
+    for T_wc in POSES:
+        at = T_wc[:2, 3] + (points[:, :2] - T_wc[:2, 3]) * FRONT / WALL
+        hidden &= np.abs(at).max(axis=1) < SIDE
+    return hidden
+
+
+@pytest.fixture(scope="module")
+def wall() -> PlyGaussians:
+    points = np.insert(_grid(-2.0, 2.0, 0.04), 2, WALL, axis=1)
+    return _flat(points, 2, _wall_colours(points), 1)
+
+
+@pytest.fixture(scope="module")
+def whole(wall: PlyGaussians) -> PlyGaussians:
+    """The wall as far as it was ever seen, and the board."""
+    face = np.insert(_grid(-SIDE, SIDE), 2, FRONT, axis=1)
+    board = _flat(face, 2, np.tile([0.9, 0.1, 0.1], (len(face), 1)), 5)
+    return join(remove(wall, _hidden(wall.means)), board)
+
+
+def test_the_hole_is_what_nobody_saw(whole, wall, device):
+    board = whole.object_ids == 5
+    kept = remove(whole, board)
+    views = MapView(whole, CAMERA, device=device), MapView(kept, CAMERA, device=device)
+    holes = find_holes(kept, [look(*views, T_wc, board) for T_wc in POSES], CAMERA)
+    assert len(holes) == 1
+    hole = holes[0]
+    assert abs(hole.plane.normal[2]) > 0.999 and abs(hole.plane.origin[2] - WALL) < 0.01
+    found = hole.centres(hole.needed)
+    hidden = wall.means[_hidden(wall.means)]
+    assert 0.5 < hole.needed.sum() * hole.cell**2 / (len(hidden) * 0.04**2) < 1.6
+    np.testing.assert_allclose(found.mean(0), hidden.mean(0), atol=0.03)
+    everywhere = hole.centres(np.ones_like(hole.needed))
+    states = hole.states.ravel()
+    inner = (np.abs(everywhere[:, :2]) < 0.1).all(axis=1)
+    outer = (np.abs(everywhere[:, :2]) > 0.45).any(axis=1)
+    assert (states[inner] == UNSEEN).all() and (states[outer] == SEEN).mean() > 0.95
+    assert not (states == FREE).any()
+
+
+def test_the_wall_goes_on_behind(whole, wall, device):
+    board = whole.object_ids == 5
+    filled, added = fill_removed(whole, board, CAMERA, POSES, device=device)
+    assert added == (filled.object_ids == 1).sum() - (len(filled) - added) and 30 < added < 1000
+    assert not (filled.object_ids == 5).any() and len(filled.identities) == len(filled)
+    np.testing.assert_allclose(filled.means[-added:, 2], WALL, atol=0.02)
+    empty = MapView(remove(whole, board), CAMERA, device=device)
+    truth, seen = MapView(wall, CAMERA, device=device), MapView(filled, CAMERA, device=device)
+    for T_wc in POSES[1:4]:
+        bare, true, now = (v.render(T_wc) for v in (empty, truth, seen))
+        hole = bare.opacity < 0.5
+        assert hole.sum() > 20 and now.opacity[hole].min() > 0.8
+        # The wall's shade goes on in the hole, and the rest of the picture stays.
+        assert np.abs(now.rgb - true.rgb)[hole].mean() < 0.04
+        away = bare.opacity > 0.95
+        assert np.abs(now.rgb - bare.rgb)[away].mean() < 0.004
+
+
+def test_any_inpainter_can_be_given(whole):
+    def green(rgb, mask):
+        assert rgb.dtype == np.uint8 and mask.dtype == bool and mask.any() and not mask.all()
+        return np.where(mask[..., None], np.array([0, 255, 0], np.uint8), rgb)
+
+    filled, added = fill_removed(whole, whole.object_ids == 5, CAMERA, POSES, inpaint=green)
+    shown = 0.5 + SH_C0 * filled.colours[-added:]
+    assert np.median(shown[:, 1]) > 0.9 and np.median(shown[:, 0]) < 0.1
+
+
+def test_without_a_plane_the_views_are_inpainted(whole, wall, rng):
+    """Round Gaussians scattered in depth: no plane fits, and the hole is filled all the same."""
+    kept = remove(wall, np.abs(wall.means[:, :2]).max(axis=1) < 0.3)
+    rough = kept.means.copy()
+    rough[:, 2] += rng.uniform(-0.15, 0.15, len(rough))
+    quats = rng.normal(size=(len(rough), 4)).astype(np.float32)
+    scattered = PlyGaussians(
+        rough,
+        quats / np.linalg.norm(quats, axis=1, keepdims=True),
+        kept.log_scales,
+        *list(vars(kept).values())[3:],
+    )
+    board = extract(whole, whole.object_ids == 5)
+    both = join(scattered, board)
+    filled, added = fill_removed(both, both.object_ids == 5, CAMERA, POSES)
+    assert added > 50
+    view = MapView(filled, CAMERA).render(POSES[2])
+    hole = MapView(scattered, CAMERA).render(POSES[2]).opacity < 0.5
+    hole[:15] = hole[-15:] = False
+    hole[:, :20] = hole[:, -20:] = False
+    assert hole.sum() > 50 and np.mean(view.opacity[hole] > 0.5) > 0.95
+    assert np.abs(filled.means[-added:, 2] - WALL).max() < 0.5
+
+
+def test_nothing_to_fill(whole, wall):
+    board = whole.object_ids == 5
+    away = POSES.copy()
+    away[:, :3, :3] = np.diag([-1.0, 1.0, -1.0])
+    same, added = fill_removed(whole, board, CAMERA, away)
+    assert added == 0 and len(same) == (~board).sum()
+    alone, added = fill_removed(extract(whole, board), np.ones(board.sum(), bool), CAMERA, POSES)
+    assert added == 0 and len(alone) == 0
+
+
+def test_twice_gives_the_same_bits(whole):
+    board = whole.object_ids == 5
+    one, two = (fill_removed(whole, board, CAMERA, POSES)[0] for _ in range(2))
+    for name, values in vars(one).items():
+        np.testing.assert_array_equal(values, getattr(two, name))
