@@ -22,6 +22,7 @@ from ggwarp.io.toml import TomlError, merged, read_toml
 from ggwarp.pipeline.hybrid import HybridConfig
 from ggwarp.pipeline.keyframes import KeyframeConfig
 from ggwarp.pipeline.mapper import MapperConfig
+from ggwarp.pipeline.mono_start import MonoStartConfig
 from ggwarp.pipeline.photometric import PhotometricConfig
 from ggwarp.pipeline.slam import KeyframePolicyKind, SlamConfig
 from ggwarp.pipeline.trackable import TrackableConfig
@@ -62,6 +63,9 @@ class RunConfig:
 
     out: Path | None = None
     """Run folder; default: runs/SEQ/UTC-TIME, linked as runs/latest."""
+
+    mono: bool = False
+    """Leave depth images aside: one camera, and a map without a scale of its own; always so without any."""
 
     intrinsics: tuple[float, float, float, float] | None = None
     """fx fy cx cy of one's own recording, in pixels of its native size (integers are pixel centres); default:
@@ -106,6 +110,7 @@ class RunConfig:
     gicp: TrackerConfig = field(default_factory=TrackerConfig)
     photometric: PhotometricConfig = field(default_factory=PhotometricConfig)
     hybrid: HybridConfig = field(default_factory=HybridConfig)
+    mono_start: MonoStartConfig = field(default_factory=MonoStartConfig)
     keyframes: KeyframeConfig = field(default_factory=KeyframeConfig)
     trackable: TrackableConfig = field(default_factory=TrackableConfig)
     mapper: MapperConfig = field(default_factory=MapperConfig)
@@ -127,6 +132,8 @@ class RunConfig:
             mapper=self.mapper,
             policy=self._policy(),
             window=self.window,
+            monocular=self.mono,
+            mono_start=self.mono_start,
             use_identity=self.use_identity,
             tracked_masks=self.tracked_masks,
         )

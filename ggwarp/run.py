@@ -29,10 +29,11 @@ from ggwarp.config import (
     preset_config,
 )
 from ggwarp.console import Display, open_display
-from ggwarp.datasets import BUILT_IN, Dataset, DatasetError, FrameReader, open_dataset
+from ggwarp.datasets import BUILT_IN, Dataset, DatasetError, FrameReader, WithoutDepth, open_dataset
 from ggwarp.io.camera import write_camera
 from ggwarp.io.toml import write_toml
 from ggwarp.kernels import loading
+from ggwarp.monocular import monocular
 from ggwarp.pipeline import report
 from ggwarp.pipeline.scheduler import LiveScheduler, Scheduler, UncappedScheduler
 from ggwarp.pipeline.slam import Slam
@@ -43,7 +44,15 @@ USER_ERROR = 2
 INTERRUPTED = 130
 
 RESULTS = {
-    "trajectory": ["frames", "frames_lost", "frames_skipped", "ate_rmse_cm", "ate_mean_cm", "rpe_rmse_cm"],
+    "trajectory": [
+        "frames",
+        "frames_lost",
+        "frames_skipped",
+        "alignment",
+        "ate_rmse_cm",
+        "ate_mean_cm",
+        "rpe_rmse_cm",
+    ],
     "picture, all frames": ["psnr", "psnr_exposed", "ssim", "lpips", "depth_l1_cm"],
     "picture, held-out frames": [
         "heldout_psnr",
@@ -178,8 +187,8 @@ def execute(config: RunConfig, display: Display, interruption: Interruption, sta
         raise ConfigError(
             f"--built-in.*: {seq} is a recording; only the built-in office and wall take faults"
         )
-    if not dataset.has_depth:
-        raise DatasetError(f"{config.seq}: the sequence has no depth images, which mapping needs")
+    if config.mono or not dataset.has_depth:
+        config, dataset = monocular(config), WithoutDepth(dataset)
     indices = frame_indices(config.frames, len(dataset))
     scale = image_scale(config.scale, dataset.camera, device)
     every = max(1, -(-len(indices) // 10)) if config.save_renders is None else config.save_renders
@@ -200,7 +209,7 @@ def execute(config: RunConfig, display: Display, interruption: Interruption, sta
     load_kernels(device, display)
     # The objects of untracked masks are numbered by the map.
     names = getattr(dataset, "class_names", {}) if config.tracked_masks else {}
-    record = report.RunRecord(name, dataset.kind, device, class_names=names)
+    record = report.RunRecord(name, dataset.kind, device, class_names=names, monocular=config.mono)
     with reader:
         kept = track_and_map(slam, reader, record, display, interruption, beside=beside)
     if not record.reports and record.failure is None:
@@ -272,7 +281,9 @@ def _introduce(config: RunConfig, dataset: Dataset, frames: int, display: Displa
         f"{frames} frames on {config.device} at {size.width}x{size.height} "
         f"(--scale {config.scale:g} of {native.width}x{native.height})"
     )
-    if config.use_identity and not dataset.has_masks:
+    if config.mono:
+        display.note("no depth: tracking by colour alone, no scale, objects are not learnt")
+    elif config.use_identity and not dataset.has_masks:
         display.note("no object masks (--masks DIR gives some): objects are not learnt")
 
 

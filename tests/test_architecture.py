@@ -27,10 +27,11 @@ ALLOWED: dict[str, set[str]] = {
     "evaluation": _BASE | {"map"},
     "pipeline": _BASE | {"kernels", "ops", "map", "objects", "evaluation", "io"},
     "config": {"types", "io", "datasets", "pipeline"},
+    "monocular": {"config", "pipeline"},
     "console": set(),
     "session": {"types", "kernels", "datasets", "evaluation", "pipeline", "console"},
     "precompile": {"kernels"},
-    "run": {"types", "kernels", "io", "datasets", "pipeline", "config", "console", "session"},
+    "run": {"types", "kernels", "io", "datasets", "pipeline", "config", "monocular", "console", "session"},
 }
 """Room -> the rooms it may import (itself aside)."""
 

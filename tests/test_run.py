@@ -285,7 +285,6 @@ MISTAKES = [
     (["--seq", "room9", "--device", "cpu", "--built-in.exposure-drift", "0.2"], "room9 is a recording"),
     (["--seq", "room9", "--preset", "monogs"], "not available yet"),
     (["--seq", "room9", "--preset", "best"], "no such preset"),
-    (["--seq", "room9", "--tracker", "photometric"], "not available yet"),
     (["--seq", "room9", "--config", "absent.toml"], "absent.toml: no such file"),
     (["--seq", "room9", "--config", "a", "--preset", "fast"], "give one of them"),
     (["--seq", "room9", "--device", "cpu", "--out", "data/Replica/room9/traj.txt"], "traj.txt"),
@@ -303,18 +302,35 @@ def test_a_mistake_ends_in_one_line(scene, fake, capsys, arguments, message):
     assert line.startswith("ggwarp: ") and message in line
 
 
+@pytest.mark.parametrize("told", [True, False])
+def test_without_depth_the_run_is_monocular(scene, fake, capsys, told):
+    if not told:
+        for path in (scene / "results").glob("depth*"):
+            path.unlink()
+    arguments = ["--seq", "room9", "--device", "cpu", "--out", "o", "--mapper.iterations", "3"]
+    assert run.main([*arguments, "--mono"] if told else arguments) == 0
+    assert "no depth: tracking by colour alone" in capsys.readouterr().out
+    used = config.load_config(Path("o/config.toml"))
+    assert used.mono and used.tracker == "photometric" and not used.slam().use_identity
+    assert used.mapper.iterations == 3, "what is given stays"
+    metrics = json.loads(Path("o/metrics.json").read_text())
+    assert metrics["alignment"] == "sim3" and metrics["scale"] == pytest.approx(1.0)
+    assert metrics["depth_l1_cm"] is None and metrics["psnr"] is not None
+
+
+def test_a_film_of_an_unknown_camera_says_what_to_give(fake, tmp_path, capsys):
+    film = cv2.VideoWriter(str(tmp_path / "walk.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 20.0, (64, 48))
+    film.write(np.zeros((48, 64, 3), np.uint8))
+    film.release()
+    assert run.main(["--seq", "./walk.avi", "--device", "cpu"]) == 2
+    assert "give --intrinsics FX FY CX CY" in _only_line(capsys)
+
+
 def test_an_empty_sequence(scene, fake, capsys):
     for path in (scene / "results").iterdir():
         path.unlink()
     assert run.main(["--seq", "room9", "--device", "cpu"]) == 2
     assert "empty" in _only_line(capsys)
-
-
-def test_a_sequence_without_depth(scene, fake, capsys):
-    for path in (scene / "results").glob("depth*"):
-        path.unlink()
-    assert run.main(["--seq", "room9", "--device", "cpu"]) == 2
-    assert "depth" in capsys.readouterr().err.splitlines()[-1]
 
 
 def test_no_space_left(scene, fake, monkeypatch, capsys):

@@ -27,6 +27,8 @@ class MonoStartConfig:
     """Share of the matches that must fit one motion; else the start is bad."""
     matched: float = 0.35
     """Share of the first picture that must be in view; else the wait was in vain, and starts over."""
+    trial: int = 10
+    """Frames after a start that show whether it was good: when two of them are lost, it starts over."""
     patience: int = 30
     """Frames after which a start without parallax starts over with the newest picture."""
 

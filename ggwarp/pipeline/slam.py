@@ -27,6 +27,8 @@ from ggwarp.objects.linear import LinearClassifier
 from ggwarp.pipeline.hybrid import HybridConfig
 from ggwarp.pipeline.keyframes import KeyframeConfig, KeyframeKind, KeyframePolicy, OverlapKeyframes
 from ggwarp.pipeline.mapper import Mapper, MapperConfig
+from ggwarp.pipeline.mono_start import MonoStartConfig
+from ggwarp.pipeline.monocular import MonocularTracker
 from ggwarp.pipeline.photometric import PhotometricConfig
 from ggwarp.pipeline.scheduler import Arrival, Scheduler, SynchronousScheduler, Waiting
 from ggwarp.pipeline.trackable import TrackableConfig, TrackableMap
@@ -53,6 +55,9 @@ class SlamConfig:
     policy: KeyframePolicyKind = "overlap"
     """Keyframes by overlap with the trackable points (GG-SLAM), or by covisibility, in a window (MonoGS)."""
     window: WindowConfig = field(default_factory=WindowConfig)
+    monocular: bool = False
+    """Frames have no depth."""
+    mono_start: MonoStartConfig = field(default_factory=MonoStartConfig)
     use_identity: bool = True
     """Learn which object each Gaussian belongs to (GG-SLAM); False is GS-ICP-SLAM."""
     tracked_masks: bool = True
@@ -106,6 +111,17 @@ class Slam:
         """
         self.config = config
         self.device = device
+        self._cameras = camera, sensor_camera
+        self._scheduler = scheduler or SynchronousScheduler(config.mapper.iterations)
+        self._lanes = (OPEN_ROAD, OPEN_ROAD)
+        self.reports: list[StepReport] = []
+        self.counts = {"tracking_keyframes": 0, "mapping_keyframes": 0, "frames_lost": 0}
+        self._build()
+
+    def _build(self) -> None:
+        """Make an empty map, and the parts that work on it."""
+        config, device = self.config, self.device
+        camera, sensor_camera = self._cameras
         self._trackable = TrackableMap(config.trackable, device=device)
         window = config.window if config.policy == "covisibility" else None
         self._mapper = Mapper(
@@ -115,6 +131,7 @@ class Slam:
             use_identity=config.use_identity,
             tracked_masks=config.tracked_masks,
             window=window,
+            monocular=config.monocular,
         )
         look = None if self._mapper.covisibility is None else self._mapper.covisibility.look
         self._policy: KeyframePolicy = (
@@ -125,15 +142,12 @@ class Slam:
             gicp=config.gicp,
             photometric=config.photometric,
             hybrid=config.hybrid,
+            mono_start=config.mono_start if config.monocular else None,
             sensor_camera=sensor_camera,
             renderer=Renderer(self._mapper.map, camera, identity=False),
             device=device,
         )
-        self._scheduler = scheduler or SynchronousScheduler(config.mapper.iterations)
-        self._lanes = (OPEN_ROAD, OPEN_ROAD)
         self.map = self._mapper.map
-        self.reports: list[StepReport] = []
-        self.counts = {"tracking_keyframes": 0, "mapping_keyframes": 0, "frames_lost": 0}
 
     def step(self, frame: Frame) -> StepReport:
         """Process the next frame: pose first, then the map."""
@@ -162,7 +176,9 @@ class Slam:
         lane = self._lanes[1]
         if tracked.kind is not KeyframeKind.NONE:
             with lane:
-                self._mapper.insert(tracked.frame, tracked.result.T_wc, tracked.result.exposure)
+                self._mapper.insert(_with_depth(tracked), tracked.result.T_wc, tracked.result.exposure)
+        if tracked.result.verdict is not Verdict.LOST:
+            self._mapper.remember(tracked.frame, tracked.result.T_wc)
         done = 0
         while self._mapper.ready and self._scheduler.wants_more(done, waiting):
             with lane:
@@ -225,7 +241,7 @@ class Slam:
 
     def fitted_poses(self) -> dict[int, Float64]:
         """Return the pose T_wc [4, 4] of each reported frame; keyframes' as fitted with the map."""
-        return {r.index: r.T_wc for r in self.reports} | self._mapper.keyframe_poses()
+        return {r.index: r.T_wc for r in self.reports} | self._found_late() | self._mapper.keyframe_poses()
 
     @property
     def keyframe_indices(self) -> list[int]:
@@ -244,9 +260,16 @@ class Slam:
         return self._mapper.linear_classifier()
 
     def _track(self, frame: Frame) -> TrackResult:
+        T_first = np.eye(4) if frame.T_wc is None else frame.T_wc
+        if isinstance(self._tracker, MonocularTracker) and self._tracker.misled:
+            self._build()
+            T_first = self.reports[-1].T_wc
         if self._policy.empty:
-            return self._tracker.start(frame, np.eye(4) if frame.T_wc is None else frame.T_wc)
+            return self._tracker.start(frame, T_first)
         return self._tracker.track(frame, self._trackable.snapshot())
+
+    def _found_late(self) -> dict[int, Float64]:
+        return self._tracker.poses if isinstance(self._tracker, MonocularTracker) else {}
 
     def _report(self, tracked: Tracked, iterations: int, loss: float, mapping_s: float) -> StepReport:
         frame, arrival, result, kind = tracked.frame, tracked.arrival, tracked.result, tracked.kind
@@ -273,3 +296,9 @@ class Slam:
         )
         self.reports.append(report)
         return report
+
+
+def _with_depth(tracked: Tracked) -> Frame:
+    """Return the frame with the depth that tracking estimated, if it did."""
+    estimated = tracked.result.depth
+    return tracked.frame if estimated is None else dataclasses.replace(tracked.frame, depth=estimated)

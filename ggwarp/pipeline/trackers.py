@@ -8,6 +8,8 @@ from typing import Any, Literal, Protocol
 from ggwarp.map.renderer import Renderer
 from ggwarp.pipeline.given_poses import GivenPoses
 from ggwarp.pipeline.hybrid import HybridConfig, HybridTracker
+from ggwarp.pipeline.mono_start import MonoStartConfig
+from ggwarp.pipeline.monocular import MonocularTracker
 from ggwarp.pipeline.photometric import PhotometricConfig, PhotometricTracker
 from ggwarp.pipeline.tracker import GicpTracker, TrackerConfig
 from ggwarp.types import Camera, Float64, Frame, MapSnapshot, TrackResult
@@ -39,6 +41,7 @@ def make_tracker(
     hybrid: HybridConfig,
     sensor_camera: Camera,
     renderer: Renderer,
+    mono_start: MonoStartConfig | None = None,
     device: Any,
 ) -> Tracker:
     """Return a tracker of frames with colour by the renderer's camera and depth by ``sensor_camera``.
@@ -46,6 +49,8 @@ def make_tracker(
     Args:
         renderer: of the map that is being built; for those that look at it.
     """
+    if mono_start is not None:
+        return MonocularTracker(photometric, mono_start, renderer, device=device)
     if kind == "photometric":
         return PhotometricTracker(photometric, renderer, device=device)
     if kind == "hybrid":
