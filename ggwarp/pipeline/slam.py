@@ -263,7 +263,8 @@ class Slam:
         T_first = np.eye(4) if frame.T_wc is None else frame.T_wc
         if isinstance(self._tracker, MonocularTracker) and self._tracker.misled:
             self._build()
-            T_first = self.reports[-1].T_wc
+            begun = self._tracker.start(frame, self.reports[-1].T_wc)
+            return dataclasses.replace(begun, reason="the start was bad: a new map begins")
         if self._policy.empty:
             return self._tracker.start(frame, T_first)
         return self._tracker.track(frame, self._trackable.snapshot())

@@ -54,12 +54,23 @@ def test_a_start_that_soon_loses_the_camera_is_done_again(device: str) -> None:
     verdicts = [r.verdict for r in reports]
     assert verdicts[4] is Verdict.CONVERGED and verdicts[5] is Verdict.LOST
     assert verdicts[-1] is Verdict.CONVERGED
+    assert "the start was bad: a new map begins" in [r.reason for r in reports]
     assert min(slam.keyframe_indices) > 5, "the first map is gone"
     poses = slam.fitted_poses()
     after = range(min(slam.keyframe_indices), len(shots))
     found = np.stack([poses[at] for at in after])
     true = np.stack([OFFICE.trajectory[shots[at]] for at in after])
     assert absolute_error(found, true, with_scale=True).rmse < 0.02
+
+
+def test_a_second_run_is_the_same_to_the_bit(device: str) -> None:
+    first, second = made(device), made(device)
+    for index in range(6):
+        a, b = (slam.step(bare(index, index)) for slam in (first, second))
+        np.testing.assert_array_equal(a.T_wc, b.T_wc)
+    assert first.can_refine
+    maps = first.map.to_host(), second.map.to_host()
+    np.testing.assert_array_equal(maps[0]["means"], maps[1]["means"])
 
 
 def test_only_the_defaults_give_way_to_what_one_camera_needs() -> None:
