@@ -101,12 +101,6 @@ def _step(m: vec16, v: vec16, rates: vec16, t: float) -> vec16:
 
 
 @wp.kernel
-def _ranks_kernel(counts: wp.array[wp.int32], order: wp.array[wp.int32], ranks: wp.array[wp.int32]):
-    rank = wp.tid()
-    ranks[order[rank]] = wp.where(rank < counts[0], rank, -1)
-
-
-@wp.kernel
 def _gaussians_kernel(
     offset: int,
     with_identity: int,
@@ -202,18 +196,6 @@ def _classifier_kernel(
     biases[c] -= _step(vec16(mb), vec16(vb), rates, float(step))[0]
 
 
-def rank_gaussians(order: Any, *, counts: Any, ranks: Any, device: Any) -> None:
-    """Turn the visible list into a flag per Gaussian.
-
-    Args:
-        order: [n] Gaussian of each rank, a permutation.
-        counts: [>= 1] int; ranks below ``counts[0]`` are visible.
-        ranks: [n] int, written: the rank of each Gaussian, -1 where it is not visible.
-        device: a Warp device.
-    """
-    wp.launch(_ranks_kernel, dim=order.shape[0], inputs=[counts, order, ranks], device=device)
-
-
 def adam_gaussians(
     parameters: GaussianArrays,
     gradients: GaussianArrays,
@@ -233,7 +215,8 @@ def adam_gaussians(
         gradients: [>= n] arrays, valid for visible Gaussians.
         state: [>= n] moments and step counts, updated.
         rates: [2] vec16, :meth:`AdamRates.lanes` on the device, so that a recorded graph sees changes.
-        ranks: [n] int, negative where a Gaussian is not visible; see :func:`rank_gaussians`.
+        ranks: [n] int, negative where a Gaussian is not visible; see
+            :attr:`ggwarp.kernels.tiles.TileArrays.ranks`.
         device: a Warp device.
     """
     p, g, s = parameters, gradients, state

@@ -249,7 +249,7 @@ def neighbour_divergence(
         identities: [>= n] vec16.
         samples: [S] int, sampled Gaussians; neighbours: [S, k] int; those outside [0, n) add nothing.
         ranks: [n] int; the identity gradient is added only where it is >= 0, that is where the view's
-            adjoint has written ``d_identities`` (see :func:`ggwarp.kernels.adam.rank_gaussians`).
+            adjoint has written ``d_identities`` (see :attr:`ggwarp.kernels.tiles.TileArrays.ranks`).
         weights: [>= classes] vec16; biases: [>= classes] float.
         classes: classes in use, at most the workspace's capacity.
         d_identities: [>= n] vec16, added to.

@@ -20,8 +20,6 @@ vec16 = wp.types.vector(16, wp.float32)
 vec6 = wp.types.vector(6, wp.float32)
 """A twist (translation, rotation) or its gradient."""
 
-mat66 = wp.types.matrix((6, 6), wp.float32)
-
 
 @wp.func
 def quat_to_matrix(q: wp.vec4) -> wp.mat33:

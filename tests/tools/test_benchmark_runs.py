@@ -48,6 +48,16 @@ def test_a_clock_counts_nested_calls_once():
     assert clock.around(lambda x: x + 1)(2) == 3
 
 
+def test_a_sweep_s_defaults_suit_the_device(tmp_path: Path):
+    options = sweep.SweepOptions(data=tmp_path)
+    assert sweep.defaults(options, on_cpu=False) == (sweep.REPLICA, None, sweep.CAPS)
+    assert sweep.defaults(options, on_cpu=True) == (("office0",), "0:60", sweep.CPU_CAPS)
+    (tmp_path / "redkitchen").mkdir()
+    assert sweep.defaults(options, on_cpu=True) == (("office0", "redkitchen"), "0:60", sweep.CPU_CAPS)
+    given = sweep.SweepOptions(seq=("room1",), fps=("3",), frames="3:9", data=tmp_path)
+    assert sweep.defaults(given, on_cpu=True) == (("room1",), "3:9", ("3",))
+
+
 def test_rows_are_the_paper_s():
     metrics = {
         "room0": {"psnr": 35.367, "ssim": 0.9412, "lpips": 0.0814, "fps": 29.97},

@@ -75,9 +75,20 @@ def _growth(axes: Any, record: Record) -> None:
     sizes = [r["map points"] for r in rows]
     for column in ("frame ms", "map, once a keyframe, ms"):
         axes.loglog(sizes, [r[column] for r in rows], "o-", label=column)
+    _mark_sizes(axes, sizes)
     axes.set_xlabel("trackable points in the map")
     axes.set_ylabel("ms")
     axes.legend()
+
+
+def _mark_sizes(axes: Any, sizes: list[float]) -> None:
+    """Write the sizes measured, and plain numbers up the side of a log-log plot."""
+    axes.minorticks_off()
+    axes.set_xticks(sizes, [f"{s / 1e6:.3g}M" if s >= 1e6 else f"{s / 1e3:.3g}k" for s in sizes], fontsize=8)
+    low, high = axes.get_ylim()
+    steps = [digit * 10.0**power for power in range(-3, 6) for digit in (1, 2, 5)]
+    inside = [step for step in steps if low <= step <= high]
+    axes.set_yticks(inside, [f"{step:g}" for step in inside])
 
 
 def _scaling(plt: Any, record: Record) -> Any:
@@ -92,6 +103,7 @@ def _scaling(plt: Any, record: Record) -> Any:
             sizes, times = [r[by] for r in rows], [r["ms"] for r in rows]
             fitted = scaling.exponent(sizes, times)
             panel.loglog(sizes, times, "o-", label=f"{title}: exponent {fitted:.2f}")
+        _mark_sizes(panel, [r[by] for r in _rows(record, titles[0])])
         panel.set_xlabel(by)
         panel.set_ylabel("ms an iteration")
         panel.legend(fontsize=7)

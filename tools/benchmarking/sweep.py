@@ -3,17 +3,19 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarking.options import Common, new_record
+from benchmarking.options import Common, is_cpu, new_record
 from benchmarking.record import Record, Row, Section
 from benchmarking.runs import SYNCHRONOUS, Outcome, RunSpec, accepts, execute
 from benchmarking.system import sections
 from ggwarp.config import device_name
 
 REPLICA = ("room0", "room1", "room2", "office0", "office1", "office2", "office3", "office4")
+CAPS, CPU_CAPS = ("30", "20", "10", "uncapped"), ("10", "5", "2", "uncapped")
 TABLE = "by sequence and cap"
 
 _METRICS = {"PSNR": ("psnr", 2), "SSIM": ("ssim", 3), "LPIPS": ("lpips", 3), "FPS": ("fps", 2)}
@@ -24,14 +26,15 @@ _METRICS = {"PSNR": ("psnr", 2), "SSIM": ("ssim", 3), "LPIPS": ("lpips", 3), "FP
 class SweepOptions(Common):
     """Every sequence at every frame-rate cap: PSNR, SSIM, LPIPS and FPS, a row each, with the average."""
 
-    seq: tuple[str, ...] = REPLICA
-    """Sequences."""
-    fps: tuple[str, ...] = ("30", "20", "10", "uncapped")
-    """Caps; none: synchronous. A cap that the command does not know is left out, and said."""
+    seq: tuple[str, ...] | None = None
+    """Sequences; default: Replica's eight, on a CPU office0 and, if the data root has it, redkitchen."""
+    fps: tuple[str, ...] | None = None
+    """Caps; none: synchronous. A cap that the command does not know is left out, and said. Default: the
+    paper's 30, 20, 10, uncapped; on a CPU, which such rates leave no time to map, 10, 5, 2, uncapped."""
     preset: str = "gg-slam"
     """Preset of all runs."""
     frames: str | None = None
-    """Slice of each sequence, A:B or A:B:STEP."""
+    """Slice of each sequence, A:B or A:B:STEP; default: all frames, the first 60 on a CPU."""
     scale: float | None = None
     """Image scale; default: the command's."""
     data: Path | None = None
@@ -42,12 +45,13 @@ def run(options: SweepOptions) -> Record:
     """Run everything and return the record; a run that fails is noted."""
     record = new_record("sweep", options)
     device = device_name(options.device)
-    frames = options.frames or ("0:20" if options.quick else None)
+    sequences, frames, wanted = defaults(options, on_cpu=is_cpu(record))
+    record.settings |= {"seq": list(sequences), "frames": frames, "fps": list(wanted)}
     outcomes: dict[RunSpec, Outcome] = {}
-    caps = [cap for cap in options.fps if accepts(cap)]
-    record.notes += [f"--fps {cap}: the command does not take it" for cap in options.fps if cap not in caps]
+    caps = [cap for cap in wanted if accepts(cap)]
+    record.notes += [f"--fps {cap}: the command does not take it" for cap in wanted if cap not in caps]
     for cap in caps:
-        for seq in options.seq:
+        for seq in sequences:
             spec = RunSpec(seq, options.preset, cap, frames, options.scale, options.data, device)
             outcome = execute(spec)
             outcomes[spec] = outcome
@@ -60,6 +64,18 @@ def run(options: SweepOptions) -> Record:
     done = {spec: outcome for spec, outcome in outcomes.items() if not outcome.failure}
     record.sections += sections(done)
     return record
+
+
+def defaults(options: SweepOptions, *, on_cpu: bool) -> tuple[tuple[str, ...], str | None, tuple[str, ...]]:
+    """Return sequences, the slice of each, and caps: what ``options`` say, or what takes minutes."""
+    frames = options.frames or ("0:20" if options.quick else "0:60" if on_cpu else None)
+    caps = options.fps or (CPU_CAPS if on_cpu else CAPS)
+    if options.seq is not None:
+        return options.seq, frames, caps
+    if not on_cpu:
+        return REPLICA, frames, caps
+    root = options.data or Path(os.environ.get("GGWARP_DATA") or "data")
+    return ("office0", *(["redkitchen"] if (root / "redkitchen").is_dir() else [])), frames, caps
 
 
 def _of_cap(outcomes: dict[RunSpec, Outcome], cap: str) -> dict[str, dict[str, Any]]:

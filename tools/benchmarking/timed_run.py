@@ -12,11 +12,19 @@ from pathlib import Path
 from typing import Any
 
 import ggwarp.run
+from ggwarp.pipeline.given_poses import GivenPoses
+from ggwarp.pipeline.hybrid import HybridTracker
 from ggwarp.pipeline.mapper import Mapper
+from ggwarp.pipeline.monocular import MonocularTracker
+from ggwarp.pipeline.photometric import PhotometricTracker
 from ggwarp.pipeline.tracker import GicpTracker
 
 STAGES: dict[str, list[tuple[type, str]]] = {
-    "tracking": [(GicpTracker, "start"), (GicpTracker, "track"), (GicpTracker, "place")],
+    "tracking": [
+        (tracker, method)
+        for tracker in (GicpTracker, PhotometricTracker, HybridTracker, MonocularTracker, GivenPoses)
+        for method in ("start", "track")
+    ],
     "insertion": [(Mapper, "insert")],
     "mapping": [(Mapper, "iterate"), (Mapper, "settle")],
 }
