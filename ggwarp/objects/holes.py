@@ -42,6 +42,9 @@ class HoleConfig:
     """Depths agree within this, metres, and this share of the depth."""
     cell: float = 0.8
     """Side of a plane's cells in units of the distance between its Gaussians."""
+    going_on: float = 1.3
+    """A plane has ended where the nearest place looked through is within so many times the way to the nearest
+    seen. In the built-in office 1.3 serves as well as 1 or better, 2 ends a table top too early."""
 
 
 @dataclass(frozen=True)
@@ -173,7 +176,23 @@ def _grid(
     blank = np.zeros((rows, columns), np.uint8)
     hole = PlaneHole(plane, low, cell, blank, known.astype(bool), np.zeros((rows, columns), bool))
     hole.states[:] = _classified(hole, sights, camera, config).reshape(rows, columns)
+    hole.states[_ended(hole.states, config.going_on)] = FREE
     return hole
+
+
+def _ended(states: NDArray[np.uint8], going_on: float) -> Bools:
+    """Return the unseen cells that are near to free ones and far from seen ones: there, a plane has ended.
+
+    A door's frame goes on downwards behind a bin, and not sideways, over the wall that it stands out from.
+    """
+    free = cv2.morphologyEx((states == FREE).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    seen = (states == SEEN).astype(np.uint8)
+    if not free.any() or not seen.any():
+        return np.zeros(states.shape, bool)
+    to_free, to_seen = (
+        cv2.distanceTransform(1 - there, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) for there in (free, seen)
+    )
+    return (states == UNSEEN) & (going_on * to_seen > to_free)
 
 
 def _behind(plane: Plane, sight: Sight, camera: Camera, config: HoleConfig) -> Float64:

@@ -104,6 +104,18 @@ def test_the_wall_goes_on_behind(whole, wall, device):
         assert np.abs(now.rgb - bare.rgb)[away].mean() < 0.004
 
 
+def test_what_stands_out_from_the_wall_ends_where_the_wall_is_seen_beside_it(whole, device):
+    """Two posts before the wall, left and right of the board: nothing is between them but the wall."""
+    feet = [np.array([x, y]) for x in (-0.44, 0.44) for y in np.arange(-0.7, 0.7, 0.08)]
+    at = np.concatenate([_grid(-0.03, 0.03, 0.02) + foot for foot in feet])
+    posts = _flat(np.insert(at, 2, WALL - 0.08, axis=1), 2, np.tile([0.1, 0.1, 0.9], (len(at), 1)), 3)
+    scene = join(whole, posts)
+    filled, added = fill_removed(scene, scene.object_ids == 5, CAMERA, POSES, device=device)
+    new = filled.means[-added:]
+    behind = new[(np.abs(new[:, :2]) < 0.15).all(axis=1)]
+    assert len(behind) > 20 and (np.abs(behind[:, 2] - WALL) < 0.02).mean() > 0.95
+
+
 def test_any_inpainter_can_be_given(whole):
     def green(rgb, mask):
         assert rgb.dtype == np.uint8 and mask.dtype == bool and mask.any() and not mask.all()
