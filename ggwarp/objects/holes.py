@@ -44,7 +44,7 @@ class HoleConfig:
     """Side of a plane's cells in units of the distance between its Gaussians."""
     going_on: float = 1.3
     """A plane has ended where the nearest place looked through is within so many times the way to the nearest
-    seen. In the built-in office 1.3 serves as well as 1 or better, 2 ends a table top too early."""
+    seen. On a map of the built-in office 1.3 served as well as 1 or better; 2 ended a table top too early."""
 
 
 @dataclass(frozen=True)
