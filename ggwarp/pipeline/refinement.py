@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from ggwarp import lie
 from ggwarp.map.renderer import Renderer
-from ggwarp.ops.alignment import Aligner, Alignment, AlignmentConfig, Prior
+from ggwarp.ops.alignment import Aligner, AlignmentConfig, Prior, System
+from ggwarp.pipeline.descent import Descent, DescentConfig
 from ggwarp.pipeline.motion import slide
 from ggwarp.types import Exposure, Float64, Frame
 
@@ -19,7 +20,11 @@ from ggwarp.types import Exposure, Float64, Frame
 class RefinementConfig:
     """How a pose is refined by colour, and when the result is believed."""
 
+    method: Literal["alignment", "descent"] = "alignment"
+    """alignment: Gauss-Newton on the picture against a render, which is then taken anew; descent: Adam
+    through the renderer, as published (MonoGS), with many times the renders."""
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
+    descent: DescentConfig = field(default_factory=DescentConfig)
     renders: int = 2
     """Renders at most: each from where the last alignment ended."""
     tolerance: float = 1e-4
@@ -58,6 +63,15 @@ class Refined:
         return Exposure.uniform(*self.exposure)
 
 
+@dataclass(frozen=True)
+class _Found:
+    T_cw: Float64
+    exposure: tuple[float, float]
+    system: System
+    renders: int
+    iterations: int
+
+
 class Refiner:
     """Refines poses of one camera against one map; keeps the last exposure to start from."""
 
@@ -66,31 +80,42 @@ class Refiner:
         self._config = config
         self._renderer = renderer
         self._aligner = Aligner(config.alignment, renderer.camera, device=device)
+        self._descent = Descent(config.descent, renderer, device=device)
         self._exposure = (0.0, 0.0)
 
     def refine(self, frame: Frame, T_wc: Float64, *, prior: Prior | None = None) -> Refined:
         """Search the pose of ``frame``'s colour near ``T_wc`` [4, 4].
 
         Args:
-            prior: what else is known of the pose.
+            prior: what else is known of the pose; a descent makes no use of it.
         """
         self._aligner.take_picture(frame.rgb)
-        T_cw, exposure = lie.inverse(T_wc), self._exposure
-        renders = iterations = 0
-        moved = np.inf
-        found: Alignment | None = None
-        while renders < self._config.renders and moved >= self._config.tolerance:
-            self._renderer.render(lie.inverse(T_cw))
-            self._aligner.take_render(self._renderer.image, self._renderer.transmittance, T_cw)
+        search = self._align if self._config.method == "alignment" else self._descend
+        return self._judged(search(frame, lie.inverse(T_wc), prior), prior)
+
+    def _align(self, frame: Frame, T_cw: Float64, prior: Prior | None) -> _Found:
+        exposure, renders, iterations = self._exposure, 0, 0
+        while True:
+            self._render(T_cw)
             found = self._aligner.align(T_cw, exposure=exposure, prior=prior)
             moved = float(np.abs(lie.se3_log(found.T_cw @ lie.inverse(T_cw))).max())
             T_cw, exposure = found.T_cw, found.exposure
-            renders += 1
-            iterations += found.iterations
-        assert found is not None, "a refinement renders at least once"
-        return self._judged(found, renders, iterations, prior)
+            renders, iterations = renders + 1, iterations + found.iterations
+            if renders >= self._config.renders or moved < self._config.tolerance:
+                return _Found(T_cw, exposure, found.system, renders, iterations)
 
-    def _judged(self, found: Alignment, renders: int, iterations: int, prior: Prior | None) -> Refined:
+    def _descend(self, frame: Frame, T_cw: Float64, prior: Prior | None) -> _Found:
+        T_cw, exposure, renders = self._descent.run(frame, T_cw, self._exposure)
+        self._render(T_cw)
+        return _Found(
+            T_cw, exposure, self._aligner.linearise(0, T_cw, exposure), renders + 1, iterations=renders
+        )
+
+    def _render(self, T_cw: Float64) -> None:
+        self._renderer.render(lie.inverse(T_cw))
+        self._aligner.take_render(self._renderer.image, self._renderer.transmittance, T_cw)
+
+    def _judged(self, found: _Found, prior: Prior | None) -> Refined:
         c, system, camera = self._config, found.system, self._renderer.camera
         share = system.pixels / (camera.width * camera.height)
         information = c.alignment.independence * system.H[:6, :6]
@@ -105,5 +130,11 @@ class Refiner:
         if not objection:
             self._exposure = found.exposure
         return Refined(
-            lie.inverse(found.T_cw), found.exposure, share, system.mean_cost, renders, iterations, objection
+            lie.inverse(found.T_cw),
+            found.exposure,
+            share,
+            system.mean_cost,
+            found.renders,
+            found.iterations,
+            objection,
         )

@@ -8,8 +8,11 @@ import pytest
 
 from ggwarp import lie
 from ggwarp.datasets.synthetic import SyntheticOffice, SyntheticWall
+from ggwarp.pipeline.descent import edge_mask
 from ggwarp.pipeline.hybrid import loosened, relative_noise, without_slip
 from ggwarp.pipeline.mapper import MapperConfig
+from ggwarp.pipeline.photometric import PhotometricConfig
+from ggwarp.pipeline.refinement import RefinementConfig
 from ggwarp.pipeline.slam import Slam, SlamConfig
 from ggwarp.types import Frame, Verdict
 
@@ -137,3 +140,20 @@ def test_the_extent_of_patches_is_not_information(rng: np.random.Generator) -> N
     np.testing.assert_allclose(
         without_slip(real + pretended, points, slip), real, atol=1e-6 * np.abs(real).max()
     )
+
+
+def test_descent_through_the_renderer_finds_the_pose_too(device: str, office: list[Frame]) -> None:
+    refinement = RefinementConfig(method="descent")
+    config = dataclasses.replace(PHOTOMETRIC, photometric=PhotometricConfig(refinement))
+    slam = run(config, office[:4], device)
+    assert max(errors_cm(slam, office[:4])) < 2.0
+    # As published: tens of renders a frame, at most a hundred.
+    assert all(r.verdict is Verdict.CONVERGED for r in slam.reports)
+
+
+def test_flat_and_black_parts_of_a_picture_are_not_compared() -> None:
+    rgb = np.full((64, 64, 3), 90, np.uint8)
+    rgb[20:30, 10:50] = 200
+    rgb[40:, :] = 0
+    mask = edge_mask(rgb, 1.1)
+    assert mask[20, 20] == 1 and mask[5, 5] == 0 and not mask[42:].any()
