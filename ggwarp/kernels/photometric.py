@@ -3,8 +3,8 @@
 
     L = mean(w |e^a I + b - O|) + l mean(m |D - Z|)
 
-over pixels and colours, with w the render's opacity inside the mask, and m the pixels that are opaque and have
-a depth reading. Opacity weighs, but is not pulled at. Sums go row -> total in a fixed order.
+over pixels and colours, with w the render's opacity inside the mask, and m the pixels that are opaque and
+have a depth reading. Opacity weighs, but is not pulled at. Sums go row -> total in a fixed order.
 """
 
 from typing import Any

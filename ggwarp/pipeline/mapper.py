@@ -37,6 +37,8 @@ class MapperConfig(FitConfig):
 
     iterations: int = 10
     """Mapping iterations a frame (synchronous mode)."""
+    bootstrap: int = 0
+    """More iterations on the first keyframe, for trackers that look at the map it makes."""
     seeding: SeedingConfig = field(default_factory=SeedingConfig)
     depth_guess: DepthGuessConfig = field(default_factory=DepthGuessConfig)
     supervision: SupervisionConfig = field(default_factory=SupervisionConfig)

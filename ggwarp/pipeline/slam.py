@@ -179,6 +179,11 @@ class Slam:
                 self._mapper.insert(_with_depth(tracked), tracked.result.T_wc, tracked.result.exposure)
         if tracked.result.verdict is not Verdict.LOST:
             self._mapper.remember(tracked.frame, tracked.result.T_wc)
+        first = len(self.keyframe_indices) == 1 and tracked.kind is not KeyframeKind.NONE
+        bootstrap = self.config.mapper.bootstrap if first and self._mapper.ready else 0
+        for _ in range(bootstrap):
+            with lane:
+                self._mapper.iterate()
         done = 0
         while self._mapper.ready and self._scheduler.wants_more(done, waiting):
             with lane:
@@ -190,7 +195,7 @@ class Slam:
                 T_wc = self._mapper.keyframe_pose(-1)
                 self._policy.moved(T_wc)
                 self._tracker.moved(T_wc)
-        return self._report(tracked, done, loss, time.perf_counter() - started)
+        return self._report(tracked, bootstrap + done, loss, time.perf_counter() - started)
 
     def leave_unmapped(self, tracked: Tracked) -> StepReport:
         """Report a frame that the map will never see: the run ends before its turn."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""MonoGS's tracking loss against torch, its gradients against autograd, the exposure's steps against its Adam."""
+"""MonoGS's tracking loss against torch, its gradients against autograd, its Adam against ours."""
 
 import numpy as np
 import pytest

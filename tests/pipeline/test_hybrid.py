@@ -20,7 +20,7 @@ OFFICE = SyntheticOffice(scale=0.15)
 WALL = SyntheticWall(scale=0.15)
 CONFIG = SlamConfig(mapper=MapperConfig(iterations=8), use_identity=False)
 PHOTOMETRIC = dataclasses.replace(
-    CONFIG, mapper=MapperConfig(iterations=15), tracker="photometric", policy="covisibility"
+    CONFIG, mapper=MapperConfig(iterations=8, bootstrap=50), tracker="photometric", policy="covisibility"
 )
 HYBRID = dataclasses.replace(CONFIG, tracker="hybrid")
 
