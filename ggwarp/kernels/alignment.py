@@ -4,10 +4,11 @@
 Both are *views*: [h, w] vec4 of red, green, blue in 0..1 and depth in metres, 0 where there is none. A pixel
 p of the rendered view, lifted by its depth to x in the observing camera, is compared with what is seen there:
 
-    r_c = e^a I_c(p) + b - O_c(pi(x))
+    r_c = e^a I_c(p) + b - O_c(pi(x)),        r_d = n . (y - x)
 
-for each colour c, with exposure (a, b). T_cw <- Exp(tau) T_cw, tau = (v, w), moves x by v + w x x. A standard
-deviation and Geman-McClure's kernel weigh a pixel. Sums go piece of a row -> system in a fixed order.
+for each colour c, with exposure (a, b), and for the depth reading y nearest to x, against the rendered
+surface's normal n. T_cw <- Exp(tau) T_cw, tau = (v, w), moves x by v + w x x. Standard deviations and
+Geman-McClure's kernel weigh both. Sums go piece of a row -> system in a fixed order.
 """
 
 from typing import Any
@@ -15,7 +16,7 @@ from typing import Any
 import warp as wp
 
 from ggwarp.kernels.launch import launch_split
-from ggwarp.kernels.math import transform_point, vec6
+from ggwarp.kernels.math import rotation_of, transform_point, vec6
 from ggwarp.kernels.project import CameraIntrinsics
 
 wp.set_module_options({"enable_backward": False})
@@ -27,8 +28,8 @@ PARAMETERS = 8
 """tau (6), a, b."""
 
 SUMS = 46
-"""Numbers of a system: 36 of the upper triangle of H by rows, 8 of the gradient, the robust cost, the pixels
-compared."""
+"""Numbers of a system: 36 of the upper triangle of H by rows, 8 of the gradient, the robust cost of colour, the
+pixels whose colour is compared."""
 
 _PIECE = wp.constant(PIECE)
 vec46 = wp.types.vector(SUMS, wp.float32)
@@ -36,15 +37,21 @@ _NEAR = wp.constant(0.05)
 
 
 @wp.kernel
-def _pack_picture(offset: int, colour: wp.array3d[wp.uint8], view: wp.array2d[wp.vec4]):
+def _pack_picture(
+    offset: int, colour: wp.array3d[wp.uint8], depth: wp.array2d[float], view: wp.array2d[wp.vec4]
+):
     row = offset + wp.tid()
     for column in range(view.shape[1]):
         s = 1.0 / 255.0
         r = s * float(colour[row, column, 0])
         g = s * float(colour[row, column, 1])
         b = s * float(colour[row, column, 2])
-        # Its depth is not compared; that there is one lets pictures be halved.
-        view[row, column] = wp.vec4(r, g, b, 1.0)
+        z = float(0.0)
+        if depth:
+            reading = depth[row, column]
+            if reading > 0.0 and reading < 1.0e6:
+                z = reading
+        view[row, column] = wp.vec4(r, g, b, z)
 
 
 @wp.kernel
@@ -81,14 +88,17 @@ def _halve(offset: int, fine: wp.array2d[wp.vec4], edge: float, coarse: wp.array
         coarse[row, column] = mean
 
 
-def pack_picture(colour: Any, *, view: Any, device: Any) -> None:
-    """Make a view of a camera's picture, without depth.
+def pack_picture(colour: Any, depth: Any | None, *, view: Any, device: Any) -> None:
+    """Make a view of a camera's picture.
 
     Args:
         colour: [h, w, 3] uint8.
+        depth: [h, w] float, metres; no reading where 0, NaN or infinite. None: none anywhere.
         view: [h, w] vec4, written.
     """
-    launch_split(_pack_picture, view.shape[0], inputs=[colour], outputs=[view], device=device, min_piece=16)
+    launch_split(
+        _pack_picture, view.shape[0], inputs=[colour, depth], outputs=[view], device=device, min_piece=16
+    )
 
 
 def pack_render(image: Any, transmittance: Any, *, min_opacity: float, view: Any, device: Any) -> None:
@@ -135,6 +145,17 @@ def _flat(view: wp.array2d[wp.vec4], row: int, column: int, edge: float):
     ok = ok and wp.abs(view[row, column + 1][3] - z) <= jump
     ok = ok and wp.abs(view[row - 1, column][3] - z) <= jump
     return ok and wp.abs(view[row + 1, column][3] - z) <= jump
+
+
+@wp.func
+def _normal(view: wp.array2d[wp.vec4], row: int, column: int, camera: CameraIntrinsics):
+    u = float(column)
+    v = float(row)
+    right = _lift(u + 1.0, v, view[row, column + 1][3], camera)
+    left = _lift(u - 1.0, v, view[row, column - 1][3], camera)
+    down = _lift(u, v + 1.0, view[row + 1, column][3], camera)
+    up = _lift(u, v - 1.0, view[row - 1, column][3], camera)
+    return wp.normalize(wp.cross(right - left, down - up))
 
 
 @wp.func
@@ -226,6 +247,37 @@ def _add_pixel(
     return total
 
 
+@wp.func
+def _add_depth(
+    total: vec46,
+    observed: wp.array2d[wp.vec4],
+    normal: wp.vec3,
+    x: wp.vec3,
+    camera: CameraIntrinsics,
+    noise: float,
+    robust: float,
+) -> vec46:
+    iz = 1.0 / x[2]
+    u = camera.fx * x[0] * iz + camera.cx
+    v = camera.fy * x[1] * iz + camera.cy
+    inside = u > -0.5 and v > -0.5
+    inside = inside and u < float(observed.shape[1]) - 0.5 and v < float(observed.shape[0]) - 0.5
+    if inside:
+        j = int(u + 0.5)
+        i = int(v + 0.5)
+        z = observed[i, j][3]
+        if z > 0.0:
+            error = wp.dot(normal, _lift(float(j), float(i), z, camera) - x)
+            precision = 1.0 / (noise * noise)
+            weight, _cost = _robust(error * error * precision, robust)
+            w = weight * precision
+            N = -_twist(x, normal)
+            total = _add_rows(total, N, vec6(), N, vec6(), w)
+            for r in range(6):
+                total[36 + r] += w * error * N[r]
+    return total
+
+
 @wp.kernel
 def _linearise(
     offset: int,
@@ -235,7 +287,7 @@ def _linearise(
     camera: CameraIntrinsics,
     motion: wp.mat44,
     exposure: wp.vec2,
-    noise: wp.vec3,
+    noise: wp.vec4,
     sums: wp.array2d[float],
 ):
     item = offset + wp.tid()
@@ -278,7 +330,7 @@ def linearise(
     *,
     motion: wp.mat44,
     exposure: tuple[float, float],
-    noise: tuple[float, float, float],
+    noise: tuple[float, float, float, float],
     sums: Any,
     system: Any,
     device: Any,
@@ -290,7 +342,8 @@ def linearise(
         motion: rendering camera to observing camera.
         exposure: (a, b).
         noise: standard deviation of a colour, 0..1; deviations at which the robust kernel halves a residual's
-            share of the cost; relative jump of depth within a pixel that makes an edge.
+            share of the cost; relative jump of depth within a pixel that makes an edge; standard deviation of
+            depth, metres, 0 where depth is not compared.
         sums: [>= item_count(h, w), SUMS] float, scratch.
         system: [SUMS] float64, written; see :data:`SUMS`.
     """
@@ -300,7 +353,7 @@ def linearise(
         _linearise,
         items,
         inputs=[
-            pieces, rendered, observed, camera, motion, wp.vec2(*exposure), wp.vec3(*noise),
+            pieces, rendered, observed, camera, motion, wp.vec2(*exposure), wp.vec4(*noise),
         ],
         outputs=[sums],
         device=device,

@@ -15,7 +15,7 @@ from ggwarp import lie
 from ggwarp.kernels import alignment
 from ggwarp.kernels.project import intrinsics_of
 from ggwarp.kernels.streams import to_host
-from ggwarp.types import Camera, Float64
+from ggwarp.types import Camera, Float32, Float64
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,8 @@ class AlignmentConfig:
     """A size is done when a step is smaller, metres and radians."""
     colour_noise: float = 0.05
     """Standard deviation of a colour, 0..1."""
+    depth_noise: float = 0.08
+    """Standard deviation of a rendered depth, metres: much, as its errors go together."""
     robust_scale: float = 3.0
     """Standard deviations at which Geman-McClure's kernel halves a residual's share of the cost."""
     edge: float = 0.05
@@ -61,8 +63,8 @@ class System:
 
     Attributes:
         H: [8, 8]. gradient: [8].
-        cost: robust, a sum.
-        pixels: compared.
+        cost: of colour, robust, a sum.
+        pixels: whose colour is compared.
     """
 
     H: Float64
@@ -124,17 +126,19 @@ class Aligner:
         self._rendered, self._observed = (
             [wp.zeros(size, dtype=row, device=self._device) for size in sizes] for _ in range(2)
         )
-        self._T_rw = np.eye(4)
+        self._T_rw, self._depth_noise = np.eye(4), 0.0
         items = alignment.item_count(*sizes[0])
         self._sums = wp.empty((items, alignment.SUMS), dtype=float, device=self._device)
         total: Any = wp.float64
         self._system = wp.zeros(alignment.SUMS, dtype=total, device=self._device)
 
-    def take_picture(self, rgb: NDArray[np.uint8]) -> None:
-        """Take what the camera sees: ``rgb`` [h, w, 3]."""
+    def take_picture(self, rgb: NDArray[np.uint8], depth: Float32 | None = None) -> None:
+        """Take what the camera sees: ``rgb`` [h, w, 3] and ``depth`` [h, w], metres, 0 = none."""
         byte: Any = wp.uint8
         colour = wp.array(rgb, dtype=byte, device=self._device)
-        alignment.pack_picture(colour, view=self._observed[0], device=self._device)
+        readings = None if depth is None else wp.array(depth, dtype=float, device=self._device)
+        self._depth_noise = 0.0 if depth is None else self._config.depth_noise
+        alignment.pack_picture(colour, readings, view=self._observed[0], device=self._device)
         self._shrink(self._observed)
 
     def take_render(self, image: Any, transmittance: Any, T_cw: Float64) -> None:
@@ -192,13 +196,14 @@ class Aligner:
         exposure: tuple[float, float],
     ) -> System:
         """Return the normal equations at ``T_cw`` [4, 4] for pictures of size ``level`` (0: the finest)."""
+        c = self._config
         alignment.linearise(
             self._rendered[level],
             self._observed[level],
             intrinsics_of(self.cameras[level]),
             motion=_matrix(T_cw @ lie.inverse(self._T_rw)),
             exposure=exposure,
-            noise=(self._config.colour_noise, self._config.robust_scale, self._config.edge),
+            noise=(c.colour_noise, c.robust_scale, c.edge, self._depth_noise),
             sums=self._sums,
             system=self._system,
             device=self._device,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tracking by rendering the map (MonoGS): no depth is needed, no points are kept."""
+"""Tracking by rendering the map (MonoGS): depth helps but is not needed, no points are kept."""
 
 from __future__ import annotations
 
@@ -29,7 +29,10 @@ class PhotometricConfig:
 
 
 class PhotometricTracker:
-    """Finds the pose at which the map looks like the frame; reads neither ``Frame.T_wc`` nor depth."""
+    """Finds the pose at which the map looks like the frame; never reads ``Frame.T_wc``.
+
+    Depth is compared, too, where frames have it.
+    """
 
     needs_gaussians = True
 
@@ -56,9 +59,9 @@ class PhotometricTracker:
         if self._motion is None:
             raise RuntimeError("track() before start(): the first frame's pose must be given")
         predicted = self._motion.predicted(frame.timestamp)
-        found = self._refiner.refine(frame, predicted)
+        found = self._refiner.refine(frame, predicted, with_depth=True)
         if found.cost > self._config.sure_cost or found.objection:
-            found = min(found, self._refiner.refine(frame, self._motion.T_wc), key=_rank)
+            found = min(found, self._refiner.refine(frame, self._motion.T_wc, with_depth=True), key=_rank)
         if found.objection:
             self._motion.lost += 1
             return TrackResult(predicted, Verdict.LOST, found.objection, found.share)

@@ -83,13 +83,16 @@ class Refiner:
         self._descent = Descent(config.descent, renderer, device=device)
         self._exposure = (0.0, 0.0)
 
-    def refine(self, frame: Frame, T_wc: Float64, *, prior: Prior | None = None) -> Refined:
+    def refine(
+        self, frame: Frame, T_wc: Float64, *, prior: Prior | None = None, with_depth: bool = False
+    ) -> Refined:
         """Search the pose of ``frame``'s colour near ``T_wc`` [4, 4].
 
         Args:
+            with_depth: compare depth, too, if the frame has it.
             prior: what else is known of the pose; a descent makes no use of it.
         """
-        self._aligner.take_picture(frame.rgb)
+        self._aligner.take_picture(frame.rgb, frame.depth if with_depth else None)
         search = self._align if self._config.method == "alignment" else self._descend
         return self._judged(search(frame, lie.inverse(T_wc), prior), prior)
 

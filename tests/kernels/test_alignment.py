@@ -67,7 +67,9 @@ def residuals(
     return np.where(inside[:, None], r, np.nan)
 
 
-def system(rendered: np.ndarray, observed: np.ndarray, motion: np.ndarray, device: str) -> np.ndarray:
+def system(
+    rendered: np.ndarray, observed: np.ndarray, motion: np.ndarray, device: str, depth_noise: float = 0.0
+) -> np.ndarray:
     arrays = [wp.array(x, dtype=wp.vec4, device=device) for x in (rendered, observed)]
     sums = wp.empty(
         (alignment.item_count(*rendered.shape[:2]), alignment.SUMS), dtype=wp.float32, device=device
@@ -78,7 +80,7 @@ def system(rendered: np.ndarray, observed: np.ndarray, motion: np.ndarray, devic
         intrinsics_of(CAMERA),
         motion=wp.mat44(*motion.astype(np.float32).ravel().tolist()),
         exposure=EXPOSURE,
-        noise=(NOISE, ROBUST, EDGE),
+        noise=(NOISE, ROBUST, EDGE, depth_noise),
         sums=sums,
         system=out,
         device=device,
@@ -123,6 +125,42 @@ def test_normal_equations_are_those_of_the_residuals(device: str, rng: np.random
     np.testing.assert_allclose(out[36:44], g, rtol=2e-3, atol=2e-4 * np.abs(g).max())
 
 
+def test_depth_adds_point_to_plane_residuals(device: str, rng: np.random.Generator) -> None:
+    """Against finite differences of n . (y - x), with n and y held: y is a reading, n the render's."""
+    rendered, observed = views(rng)
+    observed[..., 3] = 2.1 + 0.003 * np.mgrid[: CAMERA.height, : CAMERA.width][1]
+    sigma = 0.08
+    added = system(rendered, observed, MOTION, device, sigma) - system(rendered, observed, MOTION, device)
+    H, g = np.zeros((8, 8)), np.zeros(8)
+    for v, u in compared(rendered):
+
+        def lifted(view: np.ndarray, v: int, u: int) -> np.ndarray:
+            z = float(view[v, u, 3])
+            return np.array([(u - CAMERA.cx) * z / CAMERA.fx, (v - CAMERA.cy) * z / CAMERA.fy, z])
+
+        across = lifted(rendered, v, u + 1) - lifted(rendered, v, u - 1)
+        n = np.cross(across, lifted(rendered, v + 1, u) - lifted(rendered, v - 1, u))
+        n = MOTION[:3, :3] @ (n / np.linalg.norm(n))
+        x = lie.transform_points(MOTION, lifted(rendered, v, u)[None])[0]
+        j = round(CAMERA.fx * x[0] / x[2] + CAMERA.cx)
+        i = round(CAMERA.fy * x[1] / x[2] + CAMERA.cy)
+        if not (0 <= i < CAMERA.height and 0 <= j < CAMERA.width):
+            continue
+        y = lifted(observed, i, j)
+        J = np.zeros(8)
+        for k, step in enumerate(1e-6 * np.eye(6)):
+            ends = [lie.transform_points(lie.se3_exp(s * step), x[None])[0] for s in (1.0, -1.0)]
+            J[k] = (n @ (y - ends[0]) - n @ (y - ends[1])) / 2e-6
+        e = n @ (y - x)
+        w = (ROBUST**2 / (ROBUST**2 + (e / sigma) ** 2)) ** 2 / sigma**2
+        H += w * np.outer(J, J)
+        g += w * e * J
+    # Rounding to the nearest reading may differ for a pixel or two on the border between them.
+    np.testing.assert_allclose(added[:36], H[np.triu_indices(8)], rtol=2e-2, atol=5e-3 * np.abs(H).max())
+    np.testing.assert_allclose(added[36:44], g, rtol=2e-2, atol=1e-2 * np.abs(g).max())
+    assert added[44] == added[45] == 0.0
+
+
 def test_a_second_call_gives_the_same_bits(device: str, rng: np.random.Generator) -> None:
     rendered, observed = views(rng)
     first = system(rendered, observed, MOTION, device)
@@ -154,8 +192,15 @@ def test_halving_averages_and_knows_edges(device: str, rng: np.random.Generator)
 def test_views_of_a_picture_and_of_a_render(device: str, rng: np.random.Generator) -> None:
     rgb = rng.integers(0, 256, (5, 7, 3)).astype(np.uint8)
     view = wp.zeros((5, 7), dtype=wp.vec4, device=device)
-    alignment.pack_picture(wp.array(rgb, dtype=wp.uint8, device=device), view=view, device=device)
+    depth = rng.uniform(1, 2, (5, 7)).astype(np.float32)
+    depth[0, :3] = np.nan, np.inf, 0.0
+    colour = wp.array(rgb, dtype=wp.uint8, device=device)
+    alignment.pack_picture(colour, wp.array(depth, device=device), view=view, device=device)
     np.testing.assert_allclose(view.numpy()[..., :3], rgb / 255.0, rtol=1e-6)
+    depth[0, :3] = 0.0
+    np.testing.assert_array_equal(view.numpy()[..., 3], depth)
+    alignment.pack_picture(colour, None, view=view, device=device)
+    assert not view.numpy()[..., 3].any()
 
     image = rng.uniform(0.1, 1, (4, 16, 16)).astype(np.float32)
     transmittance = rng.uniform(0, 0.1, (16, 16)).astype(np.float32)
