@@ -28,8 +28,8 @@ PARAMETERS = 8
 """tau (6), a, b."""
 
 SUMS = 46
-"""Numbers of a system: 36 of the upper triangle of H by rows, 8 of the gradient, the robust cost of colour, the
-pixels whose colour is compared."""
+"""Numbers of a system: 36 of the upper triangle of H by rows, 8 of the gradient, the robust cost of colour,
+the pixels whose colour is compared."""
 
 _PIECE = wp.constant(PIECE)
 vec46 = wp.types.vector(SUMS, wp.float32)
@@ -305,6 +305,9 @@ def _linearise(
             x = transform_point(motion, _lift(float(column), float(row), seen[3], camera))
             if x[2] > _NEAR:
                 total = _add_pixel(total, observed, seen, x, camera, gain, exposure[1], noise[0], noise[1])
+                if noise[3] > 0.0:
+                    normal = rotation_of(motion) * _normal(rendered, row, column, camera)
+                    total = _add_depth(total, observed, normal, x, camera, noise[3], noise[1])
     for k in range(46):
         sums[item, k] = total[k]
 
