@@ -11,7 +11,6 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-import typing
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -75,7 +74,8 @@ class RunConfig:
     """auto (CUDA if there is one), cpu or cuda:N."""
 
     preset: Preset = "gg-slam"
-    """Where all other options start from: gs-icp learns no objects; fast and quality map less and more."""
+    """Where all other options start from: gs-icp learns no objects; monogs tracks by rendering and fits poses
+    with the map; fast and quality map less and more."""
 
     tracker: TrackerKind = "gicp"
     """How poses are found: gicp registers depth to the map's points; photometric looks for the pose at which
@@ -162,11 +162,10 @@ def preset_config(name: str) -> RunConfig:
     """Return the configuration that the preset ``name`` stands for.
 
     Raises:
-        ConfigError: there is no such preset, or not yet.
+        ConfigError: there is no such preset.
     """
     if name not in _PRESETS:
-        later = "not available yet" if name in typing.get_args(Preset) else "no such preset"
-        raise ConfigError(f"--preset {name}: {later}; choose one of {', '.join(_PRESETS)}")
+        raise ConfigError(f"--preset {name}: no such preset; choose one of {', '.join(_PRESETS)}")
     return dataclasses.replace(_PRESETS[name](RunConfig()), preset=name)  # pyright: ignore[reportArgumentType]
 
 
@@ -194,9 +193,18 @@ def _fast(config: RunConfig) -> RunConfig:
     )
 
 
+def _monogs(config: RunConfig) -> RunConfig:
+    """Tracking by rendering, a covisible window fitted with its poses: 150 iterations in six frames."""
+    mapper = dataclasses.replace(
+        config.mapper, iterations=25, bootstrap=150, pose_rates=(1e-3, 1e-3), isotropic_weight=2.0
+    )
+    return dataclasses.replace(config, tracker="photometric", use_identity=False, mapper=mapper)
+
+
 _PRESETS: dict[str, Callable[[RunConfig], RunConfig]] = {
     "gg-slam": lambda config: config,
     "gs-icp": lambda config: dataclasses.replace(config, use_identity=False),
+    "monogs": _monogs,
     "fast": _fast,
     "quality": _with_iterations(3.0),
 }

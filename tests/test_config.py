@@ -36,9 +36,15 @@ def test_presets_differ_where_they_say():
     assert fast < gg.mapper.iterations < quality
 
 
-def test_what_is_not_there_yet_says_so():
-    with pytest.raises(c.ConfigError, match="monogs: not available yet"):
-        c.preset_config("monogs")
+def test_monogs_tracks_by_rendering_and_fits_poses():
+    slam = c.preset_config("monogs").slam()
+    assert (slam.tracker, slam.policy, slam.use_identity) == ("photometric", "covisibility", False)
+    assert all(rate > 0 for rate in slam.mapper.pose_rates) and slam.mapper.isotropic_weight > 0
+
+
+def test_every_preset_is_there():
+    for name in typing.get_args(c.Preset):
+        assert c.preset_config(name).preset == name
     with pytest.raises(c.ConfigError, match="no such preset"):
         c.preset_config("nonsense")
 
@@ -79,7 +85,7 @@ def test_a_file_starts_from_its_preset(tmp_path):
         ("sequence = 1", "unknown key 'sequence'"),
         ("[mapper]\niteration = 1", "unknown key 'mapper.iteration'"),
         ("scale = true", "scale = True"),
-        ('preset = "monogs"', "not available yet"),
+        ('preset = "mono"', "preset"),
     ],
 )
 def test_mistakes_in_a_file_are_named(tmp_path, text, message):

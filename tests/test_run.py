@@ -283,7 +283,7 @@ MISTAKES = [
     (["--seq", "room9", "--device", "cpu", "--scale", "0.1"], "--scale 0.1: images of 6x5 are too small"),
     (["--seq", "room9", "--masks", "absent"], "absent"),
     (["--seq", "room9", "--device", "cpu", "--built-in.exposure-drift", "0.2"], "room9 is a recording"),
-    (["--seq", "room9", "--preset", "monogs"], "not available yet"),
+    (["--seq", "room9", "--preset", "mono"], "no such preset"),
     (["--seq", "room9", "--preset", "best"], "no such preset"),
     (["--seq", "room9", "--config", "absent.toml"], "absent.toml: no such file"),
     (["--seq", "room9", "--config", "a", "--preset", "fast"], "give one of them"),
