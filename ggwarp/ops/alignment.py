@@ -12,7 +12,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ggwarp import lie
-from ggwarp.kernels import alignment
+from ggwarp.kernels import alignment, views
 from ggwarp.kernels.project import intrinsics_of
 from ggwarp.kernels.streams import to_host
 from ggwarp.types import Camera, Float32, Float64
@@ -138,7 +138,7 @@ class Aligner:
         colour = wp.array(rgb, dtype=byte, device=self._device)
         readings = None if depth is None else wp.array(depth, dtype=float, device=self._device)
         self._depth_noise = 0.0 if depth is None else self._config.depth_noise
-        alignment.pack_picture(colour, readings, view=self._observed[0], device=self._device)
+        views.pack_picture(colour, readings, view=self._observed[0], device=self._device)
         self._shrink(self._observed)
 
     def take_render(self, image: Any, transmittance: Any, T_cw: Float64) -> None:
@@ -147,7 +147,7 @@ class Aligner:
         Args:
             image: [>= 4, Hp, Wp] colour and expected depth. transmittance: [Hp, Wp].
         """
-        alignment.pack_render(
+        views.pack_render(
             image,
             transmittance,
             min_opacity=self._config.min_opacity,
@@ -247,9 +247,9 @@ class Aligner:
             return np.zeros(8)
         return step if np.isfinite(step).all() else np.zeros(8)
 
-    def _shrink(self, views: list[Any]) -> None:
-        for fine, coarse in itertools.pairwise(views):
-            alignment.halve(fine, edge=self._config.edge, coarse=coarse, device=self._device)
+    def _shrink(self, levels: list[Any]) -> None:
+        for fine, coarse in itertools.pairwise(levels):
+            views.halve(fine, edge=self._config.edge, coarse=coarse, device=self._device)
 
 
 def _matrix(T: Float64) -> wp.mat44:
