@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Direct alignment of a camera image to a rendered view: residuals and their normal equations.
 
-Both are views (:mod:`ggwarp.kernels.views`). A pixel p of the rendered view, lifted by its depth to x in the observing camera, is compared with what is seen there:
+Both are views (:mod:`ggwarp.kernels.views`). A pixel p of the rendered view, lifted by its depth to x in the
+observing camera, is compared with what is seen there:
 
     r_c = e^a I_c(p) + b - O_c(pi(x)),        r_d = n . (y - x)
 
