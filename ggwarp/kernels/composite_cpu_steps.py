@@ -92,7 +92,7 @@ def turn_patch(patch: int, g_quads: wp.array[wp.vec4], weight_quads: wp.array[wp
             d_depth = g_quads[at + 12][i]
             u = x0 + float(i)
             v = y0 + float(j)
-            weight_quads[2 * (pixel + i) + 1] = wp.vec4(d_depth * u, d_depth * v, 0.0, 0.0)
+            weight_quads[2 * (pixel + i) + 1] = wp.vec4(d_depth * u, d_depth * v, 1.0, 0.0)
         transpose_quads(g_quads, at, weight_quads, 2 * pixel, 2)
         j += 1
 

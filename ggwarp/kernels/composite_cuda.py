@@ -6,7 +6,8 @@ splats at a time is staged in shared memory; the opacity threshold is tested on 
 
 The adjoint reduces over the block by products of small matrices: the weights of 16 splats [16, 256]
 times d_image [256, 4] give their gradients of colour and depth (with x and y times the depth channel as two
-more columns: the gradient of the depth's slope; identities apart, as not every tile has them), and
+more columns, the gradient of the depth's slope, and one of ones, the weight itself; identities apart, as not
+every tile has them), and
 d loss / d ln alpha [16, 256] times the monomials 1, x, y, x^2, xy, y^2 [256, 6] the moments that shape
 gradients are made of. One row per (splat, tile) slot and a fixed order: no atomics, and the same result
 every time.
@@ -167,7 +168,7 @@ def _make_adjoint(channels: int):
         splats = wp.tile_empty(shape=BLOCK, dtype=vec8, storage="shared")
         gaussians = wp.tile_empty(shape=BLOCK, dtype=int, storage="shared")
         slots = wp.tile_empty(shape=BLOCK, dtype=int, storage="shared")
-        gradients = wp.tile_empty(shape=(BLOCK, 6), dtype=float, storage="shared")
+        gradients = wp.tile_empty(shape=(BLOCK, 7), dtype=float, storage="shared")
         monomials = wp.tile_empty(shape=(BLOCK, 6), dtype=float, storage="shared")
         x = float(_column(lane))
         y = float(_row(lane))
@@ -192,6 +193,7 @@ def _make_adjoint(channels: int):
             wp.tile_scatter_masked(gradients, lane, c, g_head[c], True)
         wp.tile_scatter_masked(gradients, lane, 4, g_head[DEPTH] * u, True)
         wp.tile_scatter_masked(gradients, lane, 5, g_head[DEPTH] * v, True)
+        wp.tile_scatter_masked(gradients, lane, 6, 1.0, True)
         if wp.static(with_identity):
             identity_gradients = wp.tile_empty(shape=(BLOCK, 16), dtype=float, storage="shared")
             for c in range(16):
@@ -256,7 +258,7 @@ def _make_adjoint(channels: int):
                         vec8(s[0], s[1], s[2], s[3], s[4], s[5], s[6], wp.exp(s[7])),
                         vec8(
                             sums[lane, 0], sums[lane, 1], sums[lane, 2],
-                            sums[lane, 3], sums[lane, 4], sums[lane, 5], 0.0, 0.0,
+                            sums[lane, 3], sums[lane, 4], sums[lane, 5], sums[lane, 6], 0.0,
                         ),
                         vec8(
                             moments[lane, 0], moments[lane, 1], moments[lane, 2],

@@ -205,7 +205,7 @@ def shape_gradients(s: vec8, w: vec8, d: vec8) -> vec16:
 
     Args:
         s: the splat on its tile: factors of dx^2, dx dy, dy^2, centre, slope, opacity.
-        w: sums of its weight times the gradients of colour and depth, and the depth's times x and y.
+        w: sums of its weight times the gradients of colour and depth, the depth's times x and y, and one.
         d: sums of d loss / d ln alpha times 1, x, y, x^2, xy, y^2; x and y from the tile's centre.
     """
     ox = 7.5 - s[3]
@@ -222,5 +222,5 @@ def shape_gradients(s: vec8, w: vec8, d: vec8) -> vec16:
         -s[1] * mx - 2.0 * s[2] * my - s[6] * w[3],
         w[4] + ox * w[3], w[5] + oy * w[3],
         w[0], w[1], w[2], w[3],
-        0.0, 0.0, 0.0, 0.0,
+        w[6], 0.0, 0.0, 0.0,
     )  # fmt: skip

@@ -45,7 +45,8 @@ class SlotGradients:
     """What the composite's adjoint writes, a row per slot (see :mod:`ggwarp.kernels.tiles`).
 
     Attributes:
-        rows: [slots] vec16: of the conic and opacity (4); mean, slope (4); colour and depth (4); zeros.
+        rows: [slots] vec16: of the conic and opacity (4); mean, slope (4); colour and depth (4); then the
+            splat's weight summed over the tile's pixels, padding included, and zeros.
         identities: [slots] vec16; None if C is 4.
     """
 
@@ -95,6 +96,7 @@ def _project_adjoint(
     d_opacity_logits: wp.array[float],
     d_colours: wp.array[wp.vec3],
     d_identities: wp.array[vec16],
+    weights: wp.array[float],
     d_poses: wp.array[vec6],
 ):
     k = offset + wp.tid()
@@ -112,6 +114,8 @@ def _project_adjoint(
     d_uv = wp.vec2(d_row[4], d_row[5])
     d_slope = wp.vec2(d_row[6], d_row[7])
     d_head = wp.vec4(d_row[8], d_row[9], d_row[10], d_row[11])
+    if weights:
+        weights[i] = d_row[12]
     if d_identities:
         d_o = vec16()
         for slot in range(begin, end):
@@ -215,6 +219,7 @@ def project_adjoint(
     d_opacity_logits: wp.array | None = None,
     d_colours: wp.array | None = None,
     d_identities: wp.array | None = None,
+    weights: wp.array | None = None,
     d_pose_scratch: tuple[wp.array, ...] = (),
 ) -> None:
     """Chain the composite's gradients to the visible Gaussians and, on request, to the camera.
@@ -229,6 +234,8 @@ def project_adjoint(
         d_means, d_quats, d_log_scales, d_opacity_logits, d_colours: outputs, like the parameters; all
             None: only the camera's gradient is wanted.
         d_identities: output [>= count] vec16; None skips it.
+        weights: output [>= count] float, the sum of w over the view's pixels, padding included; None
+            skips it.
         d_pose_scratch: vec6 arrays of :func:`pose_levels` lengths; the last, of one row, receives
             the gradient (translation, rotation) of T_cw <- Exp(tau) T_cw. Empty: no pose gradient.
     """
@@ -244,7 +251,7 @@ def project_adjoint(
             slots.rows, slots.identities,
         ],
         outputs=[
-            d_means, d_quats, d_log_scales, d_opacity_logits, d_colours, d_identities,
+            d_means, d_quats, d_log_scales, d_opacity_logits, d_colours, d_identities, weights,
             d_pose_scratch[0] if d_pose_scratch else None,
         ],
         device=device,

@@ -74,7 +74,7 @@ class GaussianMap:
         version: grows whenever rows are added or removed.
         allocation: grows whenever ``fields`` become other arrays.
         fields: name -> array of ``capacity`` rows: the parameters, the optimiser's state,
-            ``births`` and ``votes``.
+            ``births``, ``votes`` and ``idle`` (:func:`ggwarp.kernels.compact.count_idle`).
     """
 
     def __init__(self, *, device: Any, has_identity: bool, capacity: int = 1 << 15) -> None:
@@ -85,7 +85,7 @@ class GaussianMap:
         self.allocation = 0
         names = [n for n in PARAMETERS if has_identity or n != "identities"]
         types = {n: PARAMETERS[n] for n in names}
-        types |= {"first": vec16, "second": vec16, "steps": wp.int32, "births": wp.int32}
+        types |= {"first": vec16, "second": vec16, "steps": wp.int32, "births": wp.int32, "idle": wp.int32}
         if has_identity:
             types |= {"first_identity": vec16, "second_identity": vec16, "votes": wp.int32}
         self.fields = {n: wp.zeros(capacity, dtype=t, device=self.device) for n, t in types.items()}

@@ -39,6 +39,8 @@ class Renderer:
         transmittance, median_depth: [Hp, Wp] float.
         d_image, d_transmittance: gradients for :meth:`adjoint`; zeros at first.
         gradients: of the visible Gaussians' parameters, after :meth:`adjoint`.
+        weights: [capacity] float, of the visible Gaussians: how many pixels, padding included, each makes up,
+            after :meth:`adjoint`.
         d_pose: [1] vec6, gradient (translation, rotation) of T_cw <- Exp(tau) T_cw, after :meth:`adjoint`
             with ``pose`` or :meth:`adjoint_pose`.
         splats: the projection of the last :meth:`forward`.
@@ -122,7 +124,7 @@ class Renderer:
             pose: write ``d_pose``, too.
         """
         g = self.gradients
-        outputs = {f"d_{name}": getattr(g, name) for name in PARAMETERS}
+        outputs = {f"d_{name}": getattr(g, name) for name in PARAMETERS} | {"weights": self.weights}
         self._chain(T_cw, outputs, self._pose_scratch() if pose else ())
 
     def adjoint_pose(self, T_cw: wp.array) -> None:
@@ -221,6 +223,7 @@ class Renderer:
                 for n in PARAMETERS
             )
         )
+        self.weights = wp.zeros(capacity, dtype=float, device=self._device)
         self._allocate_tiles(_SLOTS_PER_GAUSSIAN * capacity)
 
     def _allocate_tiles(self, slots: int) -> None:

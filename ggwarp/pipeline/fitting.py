@@ -11,7 +11,7 @@ import warp as wp
 
 from ggwarp import lie
 from ggwarp.kernels.adam import AdamRates, adam_gaussians
-from ggwarp.kernels.compact import flag_kept
+from ggwarp.kernels.compact import count_idle, flag_kept
 from ggwarp.kernels.graph import GraphCache
 from ggwarp.kernels.isotropy import pull_round
 from ggwarp.kernels.loss import DEPTH, DSSIM, L1, LOSS_COUNT, OBJECT, OBJECT_3D, add_total, rgbd_loss
@@ -60,6 +60,11 @@ class FitConfig:
     """Gaussians less opaque than this are pruned."""
     prune_scale: float = 0.25
     """Gaussians with a larger standard deviation than this are pruned, metres."""
+    prune_idle: int = 20
+    """Gaussians that made up next to nothing of each of the last so many views that could show them are
+    pruned, as they are hidden; 0: they stay."""
+    prune_weight: float = 0.05
+    """Fewer pixels of a view than this are next to nothing."""
     classifier: ClassifierConfig = field(default_factory=ClassifierConfig)
 
 
@@ -175,6 +180,8 @@ class Fitter:
             self._classifier.evaluate_3d(self._renderer, self._losses)
         if self._config.isotropic_weight > 0.0:
             self._pull_round()
+        if self._config.prune_idle > 0:
+            self._count_idle()
         self._step()
         if with_pose:
             self._step_pose(keyframe)
@@ -222,6 +229,15 @@ class Fitter:
         if self._classifier is not None:
             self._classifier.step()
 
+    def _count_idle(self) -> None:
+        count_idle(
+            self._renderer.weights,
+            ranks=self._renderer.ranks,
+            least_weight=self._config.prune_weight,
+            idle=self._map.fields["idle"],
+            device=self._device,
+        )
+
     def _step_pose(self, keyframe: Keyframe) -> None:
         step_pose(
             self._renderer.d_pose,
@@ -239,6 +255,8 @@ class Fitter:
             flags=flags,
             min_opacity=self._config.prune_opacity,
             max_scale=self._config.prune_scale,
+            idle=self._map.fields["idle"] if self._config.prune_idle > 0 else None,
+            most_idle=self._config.prune_idle,
             device=self._device,
         )
         self._map.keep(flags)

@@ -58,6 +58,31 @@ def test_flags_opacity_and_scale(device):
     np.testing.assert_array_equal(flags_of(values, device, n=2), [0, 1])
 
 
+def test_flags_drop_what_is_idle_for_too_long(device):
+    idle = wp.array([0, 4, 5, 6], dtype=wp.int32, device=device)
+    np.testing.assert_array_equal(flags_of(healthy(4), device, idle=idle, most_idle=5), [1, 1, 0, 0])
+
+
+@pytest.mark.parametrize("n", [0, 1, 3000])
+def test_idle_views_are_counted_in_a_row(device, rng, n):
+    ranks = rng.integers(-1, 2, n).astype(np.int32)
+    weights = rng.choice(np.array([0.0, 0.09, 0.1, 5.0, np.nan], np.float32), n)
+    idle = rng.integers(0, 9, n + 5).astype(np.int32)
+    expected = idle.copy()
+    for i in range(n):
+        if ranks[i] >= 0:
+            expected[i] = idle[i] + 1 if weights[i] < np.float32(0.1) else 0
+    counted = wp.array(idle, device=device)
+    compact.count_idle(
+        wp.array(weights, device=device),
+        ranks=wp.array(ranks, device=device),
+        least_weight=0.1,
+        idle=counted,
+        device=device,
+    )
+    np.testing.assert_array_equal(counted.numpy(), expected)
+
+
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("name", [name for name, _, _ in FIELDS])
 def test_flags_drop_what_is_not_finite(device, name, bad):

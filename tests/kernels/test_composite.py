@@ -130,7 +130,8 @@ class Composited:
         rows = np.concatenate([a.numpy() for a in (out.rows, out.identities) if a is not None], axis=1)
         total = np.zeros((self.splats.depths.shape[0], rows.shape[1]))
         np.add.at(total, owners, rows)
-        assert not total[:, 12:16].any()
+        self.weights = total[:, 12]
+        assert not total[:, 13:16].any()
         features = np.concatenate([total[:, 8:12], total[:, 16:]], axis=1)
         return [total[:, 4:6], total[:, :4], total[:, 6:8], features]
 
@@ -182,6 +183,19 @@ def test_adjoint_matches_the_oracle(device, rng, channels):
     for mine, reference_gradient in zip(ours, theirs, strict=True):
         assert_same_direction(mine, reference_gradient)
     assert_same_direction(ours[1][:, 3], theirs[1][:, 3])
+
+
+@pytest.mark.parametrize("channels", [4, 20])
+def test_weights_are_the_pixels_that_a_splat_makes_up(device, rng, channels):
+    scene, size = make_scene(rng, channels=channels)
+    run = Composited(scene, size, device)
+    run.adjoint(*random_gradients(rng, channels, size))
+    padded = [16 * tiles_across(side) for side in size]
+    ones = np.zeros((channels, *padded[::-1]))
+    ones[0] = 1.0
+    planes, theirs = oracle(scene, padded, ones, np.zeros(padded[::-1]))
+    assert_same_direction(run.weights, theirs[3][:, 0])
+    np.testing.assert_allclose(run.weights.sum(), (1.0 - planes[1]).sum(), rtol=1e-4)
 
 
 def run_all(scene, size, device, seeds, *, identity_shapes=True, **options):

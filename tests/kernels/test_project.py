@@ -70,12 +70,14 @@ class Projector:
         slots = allocate_slot_gradients(tiles.capacity, d_features.shape[1], device=self.device)
         owner = tiles.slot_gaussians.numpy()
         share = 1.0 / np.maximum(np.bincount(owner[: tiles.counts.numpy()[1]], minlength=self.n), 1)
-        rows = np.concatenate([d_conics, d_means2d, d_slopes, d_features[:, :4], np.zeros((self.n, 4))], 1)
+        weights = np.eye(4)[np.zeros(self.n, int)] * (1.0 + np.arange(self.n))[:, None]
+        rows = np.concatenate([d_conics, d_means2d, d_slopes, d_features[:, :4], weights], 1)
         for out, values in ((slots.rows, rows), (slots.identities, d_features[:, 4:])):
             if out is not None:
                 spread = (values * share[:, None])[owner if self.n else np.zeros(0, int)]
                 out.assign(spread.astype(np.float32))
         gradients = {k: wp.zeros_like(a) for k, a in self.arrays.items()}
+        self.weights = wp.full(self.n, -1.0, dtype=float, device=self.device)
         scratch = tuple(wp.empty(k, dtype=vec6, device=self.device) for k in pose_levels(self.n))
         project_adjoint(
             *(self.arrays[k] for k in FIELDS[:5]),
@@ -85,6 +87,7 @@ class Projector:
             tiles=tiles,
             slots=slots,
             **{f"d_{k}": g for k, g in gradients.items()},
+            weights=self.weights,
             d_pose_scratch=scratch if pose else (),
         )
         result = {k: g.numpy() for k, g in gradients.items()}
@@ -174,6 +177,9 @@ def test_adjoint_agrees_with_the_oracle(device, rng, spread):
     for name, tensor in tensors.items():
         assert_gradients_agree(actual[name], tensor.grad.numpy(), name)
     assert_gradients_agree(actual["tau"], tau.grad.numpy(), "tau")
+    weights = projector.weights.numpy()
+    np.testing.assert_allclose(weights[seen[:, 0]], 1.0 + np.flatnonzero(seen), rtol=1e-5)
+    assert (weights[~seen[:, 0]] == -1.0).all(), "left as they are"
 
 
 def test_adjoint_agrees_with_finite_differences(device, rng):

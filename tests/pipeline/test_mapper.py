@@ -6,7 +6,7 @@ import pytest
 
 from ggwarp import lie
 from ggwarp.datasets.synthetic import SyntheticOffice
-from ggwarp.map.gaussians import GaussianMap
+from ggwarp.map.gaussians import GaussianBatch, GaussianMap
 from ggwarp.pipeline.mapper import Mapper, MapperConfig
 from ggwarp.pipeline.window import WindowConfig
 from ggwarp.types import Frame
@@ -93,6 +93,31 @@ def test_transparent_and_huge_gaussians_are_pruned(device: str, frame: Frame) ->
     mapper.map.fields["log_scales"].assign(scales)
     mapper.iterate()
     assert mapper.map.count == count - 15
+
+
+@pytest.mark.parametrize("idle", [0, 20])
+def test_gaussians_that_stay_hidden_are_pruned(idle: int, device: str, frame: Frame) -> None:
+    mapper = made(device, MapperConfig(prune_interval=25, prune_idle=idle), use_identity=False)
+    assert frame.T_wc is not None
+    mapper.insert(frame, frame.T_wc)
+    count, eye = mapper.map.count, frame.T_wc[:3, 3].astype(np.float32)
+    logits = mapper.map.fields["opacity_logits"].numpy().copy()
+    logits[:count] = 4.0
+    mapper.map.fields["opacity_logits"].assign(logits)
+    behind = {name: rows[::50] for name, rows in mapper.map.to_host().items()}
+    behind["means"] = eye + 2.0 * (behind["means"] - eye)
+    behind["opacity_logits"] = np.full(len(behind["means"]), -3.0, np.float32)
+    behind["births"] = np.full(len(behind["means"]), 7, np.int32)
+    mapper.map.append(GaussianBatch(**behind))
+    for _ in range(25):
+        mapper.iterate()
+    mapper.settle()
+    left = np.count_nonzero(mapper.map.fields["births"].numpy()[: mapper.map.count] == 7)
+    if idle:
+        assert left < 0.5 * len(behind["means"])
+        assert mapper.map.count > 0.9 * count, "what is seen stays"
+    else:
+        assert left == len(behind["means"])
 
 
 @pytest.mark.parametrize("use_identity", [True, False])
