@@ -3,10 +3,12 @@
 
     python -m ggwarp.run --seq office --out runs/office1
     python tools/evaluate_removal.py runs/office1 stool globe "fruit bowl" --pictures pictures
+    python tools/evaluate_removal.py runs/office1 --all --step 12
 
-A row an object. ``hole``: PSNR (dB) over the pixels that the object covered, in every --step-th frame that
-shows it, removed alone and filled; ``unseen``: those of them whose background no frame of the sequence
-shows. ``outside``: PSNR of all other pixels (a pixel away from the object), before and after, against the
+``--all`` means all but floor, ceiling and walls, and what carries others (:func:`removable`). A row an
+object. ``hole``: PSNR (dB) over the pixels that the object covered, in every --step-th frame that shows it,
+removed alone and filled; ``unseen``: those of them whose background no frame of the sequence shows.
+``outside``: PSNR of all other pixels (a pixel away from the object), before and after, against the
 office with and without the object. The office keeps an object's shadows when the object is left out.
 """
 
@@ -14,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,6 +32,7 @@ from ggwarp.objects.device import ready_device
 from ggwarp.objects.edit import remove
 from ggwarp.objects.filling import fill_removed
 from ggwarp.objects.inpainting import inpaint_opencv, inpaint_shade
+from ggwarp.objects.inventory import ObjectRecord
 from ggwarp.objects.saved import RunError, SavedRun, load_run
 from ggwarp.objects.selection import select
 from ggwarp.objects.view import MapView
@@ -38,6 +42,9 @@ Bools = NDArray[np.bool_]
 
 INPAINTERS = {"shade": inpaint_shade, "opencv": inpaint_opencv}
 _LEAST = 30  # pixels that an object must cover in a frame to be compared there
+_NEAR = 0.05  # metres between what carries and what is carried
+_SHELL = ("floor", "ceiling", "wall")
+_GOOD = 22.0  # dB
 _TOLERANCE = 0.01  # metres and share of the depth, within which two depths are one surface
 
 
@@ -132,19 +139,35 @@ def _points(
     return lie.transform_points(T_wc, local)
 
 
+def removable(objects: Sequence[ObjectRecord]) -> list[ObjectRecord]:
+    """Return the objects that can be taken out without another floating in the air.
+
+    Floor, ceiling and walls stay, and what carries others: one's middle is over or in it, and its
+    bottom higher.
+    """
+
+    def carries(one: ObjectRecord, other: ObjectRecord) -> bool:
+        middle = 0.5 * (np.array(other.box.low) + np.array(other.box.high))
+        over = all(one.box.low[k] < middle[k] < one.box.high[k] for k in (0, 1))
+        low, high = one.box.low[2], one.box.high[2]
+        return over and low + min(_NEAR, 0.5 * (high - low)) < other.box.low[2] < high + _NEAR
+
+    movable = [o for o in objects if not o.name.endswith(_SHELL)]
+    return [one for one in movable if not any(carries(one, o) for o in movable if o.id != one.id)]
+
+
 def evaluate(
     run: SavedRun,
     office: Office,
     poses: dict[int, Float64],
-    name: str,
+    record: ObjectRecord,
     *,
     step: int = 3,
     inpainter: str = "shade",
     device: str = "cpu",
     pictures: Path | None = None,
 ) -> dict[str, float]:
-    """Return the figures of the object ``name`` of ``run``; ``poses`` are its frames' by index."""
-    record = run.find(name)
+    """Return the figures of ``record`` of ``run``; ``poses`` are its frames' by index."""
     chosen = select(run.gaussians, record.id)
     bare = remove(run.gaussians, chosen)
     filled, added = fill_removed(
@@ -174,16 +197,32 @@ def evaluate(
     return {**counts, "added": added, **figures}
 
 
+def summary(found: list[dict[str, float]]) -> str:
+    """Return what the rows of :func:`evaluate` come to; objects that no frame shows do not count."""
+    rows = [f for f in found if f["pixels"]]
+    hole, bare = (np.array([f[key] for f in rows]) for key in ("hole", "hole_removed"))
+    if not rows:
+        return "no frame that is compared shows any of them"
+    return (
+        f"{len(rows)} objects: median {np.median(hole):.1f} dB (removed alone {np.median(bare):.1f}),"
+        f" {int((hole >= _GOOD).sum())} at {_GOOD:g} dB or more ({int((bare >= _GOOD).sum())});"
+        f" filling is worse in {int((hole < bare).sum())}"
+    )
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Print the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("run", type=Path, help="run folder of the built-in office")
-    parser.add_argument("objects", nargs="+", help="ids, or names that only one object has")
+    parser.add_argument("objects", nargs="*", help="ids, or names that only one object has")
+    parser.add_argument("--all", action="store_true", help="all that nothing else stands on")
     parser.add_argument("--step", type=int, default=3, help="compare every so-manyth frame")
     parser.add_argument("--inpaint", choices=INPAINTERS, default="shade")
     parser.add_argument("--pictures", type=Path, help="folder for before, removed, filled and true pictures")
     parser.add_argument("--device", help="auto, cpu or cuda:N")
     options = parser.parse_args(arguments)
+    if bool(options.objects) == options.all:
+        parser.error("name the objects, or give --all")
     try:
         run = load_run(options.run)
         device = ready_device(options.device)
@@ -194,23 +233,28 @@ def main(arguments: list[str] | None = None) -> int:
             f"{'object':18} {'views':>5} {'pixels':>7} {'unseen':>7} {'added':>6}"
             f" {'removed':>8} {'hole':>6} {'unseen':>7} {'outside':>8} {'change':>7}"
         )
-        for name in options.objects:
+        records = removable(run.objects) if options.all else [run.find(name) for name in options.objects]
+        found = []
+        for record in records:
             f = evaluate(
                 run,
                 office,
                 poses,
-                name,
+                record,
                 step=options.step,
                 inpainter=options.inpaint,
                 device=device,
                 pictures=options.pictures,
             )
+            found.append(f)
+            title = f"{record.id} {record.name}"
             print(
-                f"{name:18} {f['views']:5} {f['pixels']:7} {f['unseen_pixels']:7} {f['added']:6}"
+                f"{title:18} {f['views']:5} {f['pixels']:7} {f['unseen_pixels']:7} {f['added']:6}"
                 f" {f['hole_removed']:8.2f} {f['hole']:6.2f} {f['unseen']:7.2f}"
                 f" {f['outside_before']:8.2f} {f['outside'] - f['outside_before']:+7.3f}",
                 flush=True,
             )
+        print(summary(found))
     except RunError as error:
         print(f"evaluate_removal: {error}", file=sys.stderr)
         return 2

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Filling the holes that an object's removal opens.
 
-The planes behind the object (:mod:`ggwarp.objects.holes`) are seen head-on, as the map has them; what is
-missing in that picture is inpainted and laid out as new Gaussians. Where there is no plane, depth and colour
-are inpainted in the views themselves. The new Gaussians and those at the rim are then fitted to the views,
-with the inpainted surfaces in place of the object and all else as it was.
+What the object hid goes with it: Gaussians that were never seen apart from it. The planes behind it
+(:mod:`ggwarp.objects.holes`) are seen head-on, as the views show them (:mod:`ggwarp.objects.painting`);
+what is missing in that picture is inpainted and laid out as new Gaussians. Where there is no plane, depth
+and colour are inpainted in the views themselves. The new Gaussians and those at the rim are then fitted to
+the views, with the inpainted surfaces in place of the object and all else as it was.
 """
 
 from __future__ import annotations
@@ -19,18 +20,17 @@ from numpy.typing import NDArray
 from ggwarp import lie
 from ggwarp.io.ply import PlyGaussians
 from ggwarp.map.gaussians import SH_C0
-from ggwarp.objects.edit import extract, join, remove
+from ggwarp.objects.edit import join, remove
 from ggwarp.objects.fitting import FitConfig, Target, fit
 from ggwarp.objects.holes import HoleConfig, PlaneHole, find_holes, hits
-from ggwarp.objects.inpainting import Inpaint, Picture, inpaint_depth, inpaint_shade
-from ggwarp.objects.sights import Sight, look, rays_of
+from ggwarp.objects.inpainting import Inpaint, inpaint_depth, inpaint_shade
+from ggwarp.objects.painting import Surface, paint
+from ggwarp.objects.sights import Sight, look, rays_of, share_in_the_clear
 from ggwarp.objects.view import MapView, best_views
 from ggwarp.types import Camera, Float64
 
 Bools = NDArray[np.bool_]
 
-_DISTANCE = 2.0  # metres from which a plane is looked at head-on
-_OPAQUE = 0.7  # less opaque is not known
 _HOLE = 0.5  # less opaque is a hole
 
 
@@ -40,6 +40,8 @@ class FillConfig:
 
     views: int = 40
     """Views of the object that are looked at, at most."""
+    least_seen: float = 0.5
+    """Gaussians of which less was ever seen apart from the object go with it."""
     margin: int = 24
     """Cells round a plane's hole that the inpainter sees."""
     spread: float = 0.6
@@ -56,32 +58,6 @@ class FillConfig:
     fit: FitConfig = field(default_factory=FitConfig)
 
 
-@dataclass(frozen=True)
-class Surface:
-    """A hole's plane, painted.
-
-    Attributes:
-        hole: the plane and its cells.
-        rgb: [rows + 2 margin, columns + 2 margin, 3] its picture, a pixel a cell, rows as the cells'.
-        margin: cells round the hole's grid.
-    """
-
-    hole: PlaneHole
-    rgb: Picture
-    margin: int
-
-    def colours(self, points: Float64) -> NDArray[np.float32]:
-        """Return [n, 3] the picture's colours (0..255) at ``points`` [n, 3] on the plane."""
-        if len(points) == 0:
-            return np.zeros((0, 3), np.float32)
-        at = (self.hole.plane.coordinates(points)[:, :2] - self.hole.low) / self.hole.cell + self.margin
-        columns, rows = at.astype(np.float32).T
-        sampled = cv2.remap(
-            self.rgb, columns[None], rows[None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-        )
-        return sampled[0].astype(np.float32)
-
-
 def fill_removed(
     whole: PlyGaussians,
     removed: Bools,
@@ -94,7 +70,8 @@ def fill_removed(
 ) -> tuple[PlyGaussians, int]:
     """Return ``whole`` without the ``removed`` Gaussians, the holes behind them filled, and by how many.
 
-    The new Gaussians come last; of the others only those change, or go, that lie on a hole.
+    The new Gaussians come last; of the others only those change that lie on a hole,
+    and only those go that do or that the object hid.
 
     Args:
         whole: the map.
@@ -108,44 +85,24 @@ def fill_removed(
     indices = best_views(view, poses, removed, whole.means[removed], count=config.views)
     if not indices or not len(kept):
         return kept, 0
+    seen, behind = share_in_the_clear(view, rest, [poses[i] for i in indices], removed)
+    hidden = behind & (seen < config.least_seen)
+    if hidden.all():
+        return kept, 0
+    kept = remove(kept, hidden)
+    rest = MapView(kept, camera, device=device)
     sights = [look(view, rest, poses[i], removed) for i in indices]
     holes = find_holes(kept, sights, camera, config.holes)
     # What lies on a hole, though no view ever saw it rightly, makes room.
     kept = remove(kept, _over(holes, kept, config))
-    surfaces = [paint(kept, hole, inpaint, config, device=device) for hole in holes]
+    on_plane = config.holes.tolerance
+    surfaces = [paint(h, sights, camera, inpaint, margin=config.margin, tolerance=on_plane) for h in holes]
     filled = join(kept, *(_laid_out(kept, surface, config) for surface in surfaces))
     filled = _fill_rest(filled, sights, camera, inpaint, config, device)
     free = _over(holes, filled, config)
     free[len(kept) :] = True
     targets = _targets(filled, surfaces, sights, camera, config, device)
     return fit(filled, free, targets, camera, config.fit, device=device), len(filled) - len(kept)
-
-
-def paint(
-    kept: PlyGaussians, hole: PlaneHole, inpaint: Inpaint, config: FillConfig, *, device: Any = "cpu"
-) -> Surface:
-    """Return the plane of ``hole`` as ``kept`` has it, seen head-on, what is missing inpainted."""
-    margin, plane = config.margin, hole.plane
-    size = np.array(hole.states.shape[::-1]) + 2 * margin
-    low = hole.low - margin * hole.cell
-    at = plane.coordinates(kept.means)
-    on = np.abs(at[:, 2]) < 2.0 * config.holes.reach
-    on &= ((at[:, :2] > low) & (at[:, :2] < low + hole.cell * size)).all(axis=1)
-    focal = _DISTANCE / hole.cell
-    width, height = size.tolist()
-    head_on = Camera(width, height, focal, focal, 0.5 * (width - 1), 0.5 * (height - 1))
-    u, v, normal = plane.axes.T
-    T_wc = np.eye(4)
-    T_wc[:3, :3] = np.column_stack([u, -v, -normal])
-    middle = low + 0.5 * hole.cell * (size - 1)
-    T_wc[:3, 3] = plane.points(middle[None])[0] + _DISTANCE * normal
-    seen = MapView(extract(kept, on), head_on, device=device).render(T_wc)
-    rgb, opacity = seen.rgb[::-1], seen.opacity[::-1, :, None]  # the camera's rows run against v
-    straight = np.divide(rgb, opacity, out=np.zeros_like(rgb), where=opacity > 1e-3)
-    unknown = np.pad(hole.needed, margin) | (opacity[..., 0] < _OPAQUE)
-    unknown = cv2.dilate(unknown.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
-    picture = np.rint(255.0 * np.clip(straight, 0.0, 1.0)).astype(np.uint8)
-    return Surface(hole, inpaint(picture, unknown), margin)
 
 
 def _over(holes: list[PlaneHole], gaussians: PlyGaussians, config: FillConfig) -> Bools:
@@ -237,7 +194,9 @@ def _targets(
     targets = []
     for sight in sights[: config.fit.views]:
         seen = view.render(sight.T_wc)
-        rgb, depth = np.rint(255.0 * seen.rgb).astype(np.uint8), seen.surface_depth.copy()
+        whole = np.where(sight.touched[..., None], seen.rgb, sight.rgb)
+        rgb = np.rint(255.0 * whole).astype(np.uint8)
+        depth = np.where(sight.touched, seen.surface_depth, sight.depth)
         rows, columns, which, along = hits(holes, sight, camera, tolerance=config.holes.tolerance)
         points = (
             sight.T_wc[:3, 3]

@@ -8,18 +8,29 @@ picture is not known, that returns the picture with those pixels made up. Any ot
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ggwarp.types import Float32
+from ggwarp.types import Float32, Float64
 
 Bools = NDArray[np.bool_]
 Picture = NDArray[np.uint8]
 Inpaint = Callable[[Picture, Bools], Picture]
 
 _REACH = 5.0  # pixels that OpenCV looks round an unknown one
+_LOW = 1.0  # pixels: what is blurred by so much goes on smoothly
+_SHADE = 4.0  # pixels: what is coarser is light and shade, what is finer texture
+_SLOPE = 15.0  # pixels over which a slope dies out
+_FLAT = 2.0  # the same where slopes should not go on
+_BLACK = 8.0  # of 255: darker is as good as black
+_LEAST_LIKE = 0.5  # correlation of a texture with itself, shifted
+_LEAST_OVERLAP = 0.3  # of the known pixels, by which that is judged
+_LEAST_SHIFT = 8.0  # pixels
+_DAMPING = 0.02  # of slopes
+_SHIFTS = 200  # tried, the likest first
 
 
 def inpaint_opencv(rgb: Picture, mask: Bools) -> Picture:
@@ -29,23 +40,134 @@ def inpaint_opencv(rgb: Picture, mask: Bools) -> Picture:
 
 
 def inpaint_shade(rgb: Picture, mask: Bools) -> Picture:
-    """Return ``rgb`` with the masked pixels filled so that light and shade go on.
+    """Return ``rgb`` with the masked pixels filled so that light, shade and texture go on.
 
-    The blurred picture is continued smoothly (biharmonic: value and slope go on across the outline, within
-    the range of what is around), so that it stays dark behind the object that casts a shadow; what the
-    blur took away is filled by OpenCV. Inside the holes of nine of the built-in office's objects this is
-    1.5 dB nearer to the truth than OpenCV alone; behind the largest, a poster on bricks, 1.0 dB farther.
+    Texture comes from where the picture, shifted, is most like itself (:func:`continued_texture`). What is
+    left is continued smoothly (:func:`continued`): it stays dark behind the object that casts a shadow.
     """
     if mask.all() or not mask.any():
         return rgb
-    from skimage.restoration import inpaint_biharmonic  # heavy, and seldom needed
-
-    colour = rgb.astype(np.float32)
-    low = _blurred(colour, ~mask)
-    low = 255.0 * inpaint_biharmonic(low / 255.0, mask, channel_axis=2, split_into_regions=True)
-    detail = np.clip(colour - low + 128.0, 0.0, 255.0).astype(np.uint8)
-    filled = np.clip(low + inpaint_opencv(detail, mask) - 128.0, 0.0, 255.0)
+    colour = rgb.astype(np.float64)
+    texture = continued_texture(colour - smoothed(colour, ~mask, _SHADE), mask)
+    rest = np.clip(smoothed(colour - texture, ~mask, _LOW), 0.0, 255.0)
+    # Shade scales all colours alike: brightness alone has a slope that goes on, and only into the dark.
+    brightness = rest.mean(axis=2, keepdims=True) + _BLACK
+    flat = continued(np.concatenate([brightness, rest / brightness], axis=2), mask, slope=_FLAT)
+    light = np.minimum(continued(brightness, mask, slope=_SLOPE), flat[..., :1])
+    tint = flat[..., 1:]
+    filled = np.clip(light * tint + texture, 0.0, 255.0)
     return np.where(mask[..., None], np.rint(filled), colour).astype(np.uint8)
+
+
+def continued(picture: Float64, mask: Bools, *, slope: float) -> Float64:
+    """Return ``picture`` [h, w, c] with the masked pixels replaced by a spline under tension.
+
+    Value and slope go on across the outline; over ``slope`` pixels the slope dies out, so that a wide hole
+    is no darker in the middle than what is around. The sum of laplacian^2 + (gradient / slope)^2 is least.
+    """
+    from scipy.sparse import csr_matrix, diags, vstack  # heavy, and seldom needed
+    from scipy.sparse.linalg import splu
+
+    height, width = mask.shape
+    place = np.arange(mask.size).reshape(height, width)
+    pairs = np.concatenate(
+        [
+            np.stack([place[:, :-1].ravel(), place[:, 1:].ravel()], axis=1),
+            np.stack([place[:-1].ravel(), place[1:].ravel()], axis=1),
+        ]
+    )
+    near = cv2.dilate(mask.astype(np.uint8), np.ones((5, 5), np.uint8)).astype(bool).ravel()
+    pairs = pairs[near[pairs].all(axis=1)]
+    count = len(pairs)
+    rows = np.tile(np.arange(count), 2)
+    signs = np.repeat([1.0, -1.0], count)
+    gradient: Any = csr_matrix((signs, (rows, pairs.T.ravel())), shape=(count, mask.size))
+    # A pixel's laplacian counts where it, or a neighbour of it, is unknown.
+    beside = cv2.dilate(mask.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))).ravel()
+    laplacian: Any = diags(beside.astype(np.float64)) @ (gradient.T @ gradient)
+    energy: Any = vstack([laplacian, gradient / slope]).tocsc()
+    unknown = np.nonzero(mask.ravel())[0]
+    known = np.nonzero(~mask.ravel() & near)[0]
+    flat = picture.reshape(mask.size, -1).copy()
+    free, held = energy[:, unknown], energy[:, known]
+    solver = splu((free.T @ free).tocsc())
+    found = solver.solve(np.ascontiguousarray(-(free.T @ (held @ flat[known]))))
+    around = flat[~mask.ravel()]
+    flat[unknown] = np.clip(found, around.min(axis=0), around.max(axis=0))
+    return flat.reshape(picture.shape)
+
+
+def continued_texture(texture: Float64, mask: Bools) -> Float64:
+    """Return ``texture`` [h, w, c] (mean 0) with each pixel, masked or not, predicted from one a shift away.
+
+    The shifts are those under which the known part is most like itself; a pixel takes the best that leads
+    to a known one, times their correlation, the factor of least error. Where nothing repeats it becomes 0.
+    """
+    height, width = mask.shape
+    known = np.where(mask[..., None], 0.0, texture)
+    likeness = _self_likeness(known, ~mask)
+    best = np.argsort(likeness, axis=None)[::-1][:_SHIFTS]
+    predicted, open_ = np.zeros_like(known), np.ones_like(mask)
+    for row, column in zip(*np.unravel_index(best, likeness.shape), strict=True):
+        like = float(likeness[row, column])
+        if like < _LEAST_LIKE:
+            break
+        rows, columns = np.nonzero(open_)
+        to_rows, to_columns = rows + row - (height - 1), columns + column - (width - 1)
+        there = (to_rows >= 0) & (to_rows < height) & (to_columns >= 0) & (to_columns < width)
+        there[there] = ~mask[to_rows[there], to_columns[there]]
+        at = rows[there], columns[there]
+        predicted[at] = like * known[to_rows[there], to_columns[there]]
+        open_[at] = False
+    return predicted
+
+
+def _self_likeness(known: Float64, where: Bools) -> Float64:
+    """Return [2 h - 1, 2 w - 1] the correlation of ``known`` with itself by shift, none in the middle.
+
+    Shifts whose overlap is too small to judge by count as unlike, and so do those by a few pixels, under
+    which any picture is like itself.
+    """
+    from scipy.signal import fftconvolve  # heavy, and seldom needed
+
+    def overlap(a: Float64, b: Float64) -> Float64:
+        return np.asarray(fftconvolve(b, a[::-1, ::-1]), np.float64)
+
+    weight = where.astype(np.float64)
+    count = overlap(weight, weight)
+    power = (known**2).sum(axis=2)
+    product = sum(overlap(known[..., k], known[..., k]) for k in range(known.shape[2]))
+    here, there = overlap(power, weight), overlap(weight, power)
+    enough = count > _LEAST_OVERLAP * weight.sum()
+    scale = np.sqrt(np.maximum(here * there, 0.0))
+    rows, columns = np.indices(count.shape)
+    enough &= np.hypot(rows - known.shape[0] + 1, columns - known.shape[1] + 1) > _LEAST_SHIFT
+    enough &= scale > 1e-6 * max(float(power.sum()), 1e-6)
+    return np.divide(product, scale, out=np.zeros_like(count), where=enough)
+
+
+def smoothed(colour: Float64, known: Bools, sigma: float) -> Float64:
+    """Return ``colour`` [h, w, c] blurred by ``sigma`` pixels, taking only ``known`` ones in.
+
+    A plane is fitted round each pixel, so that slopes stay what they are up to the outline of what is known.
+    """
+
+    def blurred(image: Float64) -> Float64:
+        return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT), np.float64)
+
+    rows, columns = (at / sigma for at in np.mgrid[: known.shape[0], : known.shape[1]])
+    weight = known.astype(np.float64)
+    basis = [np.ones_like(weight), rows, columns]
+    moments = np.stack([np.stack([blurred(weight * a * b) for b in basis], -1) for a in basis], -2)
+    values = np.stack([blurred((weight * a)[..., None] * colour) for a in basis], -2)
+    # Moments about the pixel itself, at which the fit is evaluated.
+    shift = np.zeros((*known.shape, 3, 3))
+    shift[:] = np.eye(3)
+    shift[..., 1, 0], shift[..., 2, 0] = -rows, -columns
+    moments = shift @ moments @ np.swapaxes(shift, -1, -2)
+    # Few pixels on one side tell no slope: a little damping makes it 0 there.
+    damping = _DAMPING * moments[..., :1, :1] * np.diag([0.0, 1.0, 1.0]) + 1e-9 * np.eye(3)
+    return np.asarray(np.linalg.solve(moments + damping, shift @ values)[..., 0, :], np.float64)
 
 
 def inpaint_depth(depth: Float32, mask: Bools) -> Float32:
@@ -53,10 +175,3 @@ def inpaint_depth(depth: Float32, mask: Bools) -> Float32:
     # Not Telea's method, whose form for floats goes astray in OpenCV 5.0.
     known = np.ascontiguousarray(np.where(mask, np.float32(0.0), depth), np.float32)
     return np.asarray(cv2.inpaint(known, mask.astype(np.uint8), _REACH, cv2.INPAINT_NS), np.float32)
-
-
-def _blurred(colour: Float32, known: Bools) -> Float32:
-    """Blur by a pixel, taking only ``known`` ones in."""
-    weight = cv2.GaussianBlur(known.astype(np.float32), (0, 0), 1.0)
-    total = cv2.GaussianBlur(np.where(known[..., None], colour, np.float32(0.0)), (0, 0), 1.0)
-    return np.asarray(total / np.maximum(weight, 1e-4)[..., None], np.float32)

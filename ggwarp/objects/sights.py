@@ -14,6 +14,9 @@ from ggwarp.types import Camera, Float32, Float64
 
 Bools = NDArray[np.bool_]
 
+_TOUCHED = 0.1  # a smaller share of a pixel is not worth minding
+_SHOWS = 0.25  # of a Gaussian's largest view: smaller ones say little of it
+
 
 @dataclass(frozen=True)
 class Sight:
@@ -21,6 +24,7 @@ class Sight:
 
     Attributes:
         T_wc: [4, 4] camera-to-world.
+        rgb: [h, w, 3] colours, 0..1, the object in place.
         depth: [h, w] of the surface, metres, the object in place.
         coverage: [h, w] the object's share of each pixel, 0..1.
         left: [h, w] opacity of the map without the object.
@@ -28,6 +32,7 @@ class Sight:
     """
 
     T_wc: Float64
+    rgb: Float32
     depth: Float32
     coverage: Float32
     left: Float32
@@ -41,19 +46,49 @@ class Sight:
     @property
     def touched(self) -> Bools:
         """[h, w] where the object is seen at all."""
-        return self.coverage > 0.1
+        return self.coverage > _TOUCHED
 
 
 def look(whole: MapView, kept: MapView, T_wc: Float64, selected: Bools) -> Sight:
     """Return what ``T_wc`` shows of ``whole``, and of ``kept``, the map without its ``selected`` [n]."""
-    after = kept.render(T_wc)
+    after, before = kept.render(T_wc), whole.render(T_wc)
     return Sight(
         T_wc,
-        depth=whole.render(T_wc).surface_depth,
+        rgb=before.rgb,
+        depth=before.surface_depth,
         coverage=whole.coverage(T_wc, selected)[0],
         left=after.opacity,
         left_depth=after.surface_depth,
     )
+
+
+def share_in_the_clear(
+    whole: MapView, rest: MapView, poses: list[Float64], selected: Bools
+) -> tuple[Float32, Bools]:
+    """Return how much of each Gaussian was ever seen apart from an object, and which the object hid.
+
+    What was behind the object, or mixed with it at its outline, was never compared with a picture
+    of itself: its colour and shape are left over from the fit to something else.
+
+    Args:
+        whole: the map, in which the object is ``selected`` [n]. rest: the map without it, m Gaussians.
+        poses: views that show the object, [4, 4] camera-to-world each.
+
+    Returns:
+        [m] 0..1, the share in the best of the views that show it well; [m] those that show
+        where the object was.
+    """
+    clear, shown, behind = [], [], []
+    for T_wc in poses:
+        touched = whole.coverage(T_wc, selected)[0] > _TOUCHED
+        clear.append(whole.weights(T_wc, ~touched)[0][~selected])
+        everywhere, there = rest.weights(T_wc, np.ones_like(touched), touched)
+        shown.append(everywhere)
+        behind.append(there)
+    total = np.stack(shown)
+    well = total > _SHOWS * total.max(axis=0)
+    share = np.divide(np.stack(clear), total, out=np.zeros_like(total), where=well)
+    return share.max(axis=0), np.stack(behind).max(axis=0) > 0.0
 
 
 def rays_of(camera: Camera, T_wc: Float64, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Float64:

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -11,6 +13,7 @@ from numpy.typing import NDArray
 
 from ggwarp import lie
 from ggwarp.io.ply import PlyGaussians
+from ggwarp.kernels.streams import to_host
 from ggwarp.map.gaussians import SH_C0, GaussianBatch, GaussianMap
 from ggwarp.map.renderer import Renderer
 from ggwarp.types import Camera, Float32, Float64, Rendered
@@ -18,6 +21,7 @@ from ggwarp.types import Camera, Float32, Float64, Rendered
 Bools = NDArray[np.bool_]
 
 _MOST_POSES = 150  # looked at in search of good views
+_CUT = 0.25  # what a view counts that cuts the object
 _APART = 0.25  # metres plus radians between chosen views
 
 
@@ -58,14 +62,43 @@ class MapView:
         paint = np.zeros((self._map.capacity, 3), np.float32)
         for channel, selected in enumerate(selections):
             paint[: self._map.count, channel] = selected
-        self._painted.assign((paint - 0.5) / SH_C0)
-        fields, colours = self._map.fields, self._map.fields["colours"]
+        with self._painted_with((paint - 0.5) / SH_C0):
+            self._renderer.render(T_wc)
+        return self._renderer.plane(self._renderer.image)[: len(selections)]
+
+    def weights(self, T_wc: Float64, *pixels: Bools) -> Float32:
+        """Return [k, n] how many pixels' worth of picture each Gaussian makes up, in each of ``pixels``.
+
+        They are sums of blending weights, all that hides a Gaussian in place: a colour's gradient of the
+        picture's sum.
+
+        Args:
+            T_wc: [4, 4] camera-to-world.
+            pixels: each [h, w], the pixels that count; up to three.
+        """
+        r, camera = self._renderer, self.camera
+        d_image = np.zeros(r.d_image.shape, np.float32)
+        for channel, counted in enumerate(pixels):
+            d_image[channel, : camera.height, : camera.width] = counted
+        # A colour at which none is cut off at black, where it would have no gradient.
+        with self._painted_with(np.zeros((self._map.capacity, 3), np.float32)):
+            r.render(T_wc)
+            r.d_image.assign(d_image)
+            r.adjoint(r.pose_array(T_wc))
+        shown = to_host(r.ranks)[: self._map.count] >= 0
+        found = to_host(r.gradients.colours)[: self._map.count].T[: len(pixels)] / SH_C0
+        return np.where(shown, found, np.float32(0.0))
+
+    @contextmanager
+    def _painted_with(self, colours: Float32) -> Iterator[None]:
+        """Have the Gaussians ``colours`` [capacity, 3] for a while."""
+        fields, own = self._map.fields, self._map.fields["colours"]
+        self._painted.assign(colours)
         fields["colours"] = self._painted
         try:
-            self._renderer.render(T_wc)
+            yield
         finally:
-            fields["colours"] = colours
-        return self._renderer.plane(self._renderer.image)[: len(selections)]
+            fields["colours"] = own
 
 
 def best_views(view: MapView, poses: Float64, selected: Bools, points: Float32, *, count: int) -> list[int]:
@@ -113,7 +146,7 @@ def _shown_area(coverage: Float32) -> float:
     area = float(coverage.sum())
     edges = (coverage[0], coverage[-1], coverage[:, 0], coverage[:, -1])
     cut = sum(float(edge.sum()) for edge in edges)
-    return area if area > 10.0 * cut else area * 0.5
+    return area if area > 10.0 * cut else area * _CUT
 
 
 def _apart(one: Float64, other: Float64) -> bool:

@@ -9,7 +9,9 @@ from ggwarp.map.gaussians import SH_C0
 from ggwarp.objects.edit import extract, join, remove
 from ggwarp.objects.filling import fill_removed
 from ggwarp.objects.holes import FREE, SEEN, UNSEEN, find_holes
-from ggwarp.objects.sights import look
+from ggwarp.objects.inpainting import inpaint_shade
+from ggwarp.objects.painting import paint, sampled
+from ggwarp.objects.sights import look, share_in_the_clear
 from ggwarp.objects.view import MapView
 from ggwarp.types import Camera
 
@@ -114,6 +116,41 @@ def test_what_stands_out_from_the_wall_ends_where_the_wall_is_seen_beside_it(who
     new = filled.means[-added:]
     behind = new[(np.abs(new[:, :2]) < 0.15).all(axis=1)]
     assert len(behind) > 20 and (np.abs(behind[:, 2] - WALL) < 0.02).mean() > 0.95
+
+
+def test_what_was_never_seen_apart_from_the_board_goes_with_it(whole, device):
+    """Streaks behind the board, which no picture ever contradicted."""
+    at = np.insert(_grid(-0.1, 0.1), 2, WALL - 0.1, axis=1)
+    scene = join(whole, _flat(at, 2, np.tile([0.9, 0.9, 0.1], (len(at), 1)), 7))
+    board = scene.object_ids == 5
+    views = MapView(scene, CAMERA, device=device), MapView(remove(scene, board), CAMERA, device=device)
+    share, behind = share_in_the_clear(*views, list(POSES), board)
+    ids = scene.object_ids[~board]
+    assert share[ids == 7].max() < 0.1 and behind[ids == 7].all()
+    far = (np.abs(scene.means[~board][:, :2]) > 0.5).any(axis=1) & (np.abs(scene.means[~board][:, 0]) < 0.9)
+    far &= np.abs(scene.means[~board][:, 1]) < 0.7
+    assert share[far].min() > 0.9 and not behind[far].any()
+    filled, added = fill_removed(scene, board, CAMERA, POSES, device=device)
+    assert not (filled.object_ids[:-added] == 7).any()
+    old = whole.object_ids == 1
+    assert (filled.object_ids[:-added] == 1).sum() > 0.97 * old.sum()
+
+
+def test_a_plane_is_painted_as_it_was_seen(whole, device):
+    board = whole.object_ids == 5
+    kept = remove(whole, board)
+    views = MapView(whole, CAMERA, device=device), MapView(kept, CAMERA, device=device)
+    sights = [look(*views, T_wc, board) for T_wc in POSES]
+    hole = find_holes(kept, sights, CAMERA)[0]
+    surface = paint(hole, sights, CAMERA, inpaint_shade, margin=8, tolerance=0.01)
+    at = hole.plane.points(hole.plane.coordinates(hole.centres(hole.states == SEEN))[:, :2])
+    away = (np.abs(at[:, :2]) > 0.33).any(axis=1) & (np.abs(at[:, 0]) < 0.8) & (np.abs(at[:, 1]) < 0.6)
+    assert away.sum() > 50
+    error = np.abs(surface.colours(at) / 255.0 - _wall_colours(at))[away]
+    assert error.mean() < 0.02  # no red of the board's outline
+    picture = np.arange(24, dtype=float).reshape(2, 4, 3)
+    between = sampled(picture, np.array([0.5, 3.0, 9.0]), np.array([0.5, 1.0, -4.0]))
+    np.testing.assert_allclose(between[:, 0], [7.5, 21.0, 9.0])
 
 
 def test_any_inpainter_can_be_given(whole):

@@ -2,7 +2,7 @@
 import numpy as np
 import pytest
 
-from ggwarp.objects.inpainting import inpaint_depth, inpaint_opencv, inpaint_shade
+from ggwarp.objects.inpainting import continued, inpaint_depth, inpaint_opencv, inpaint_shade, smoothed
 
 
 def _ramp() -> np.ndarray:
@@ -33,6 +33,41 @@ def test_shade_goes_on():
     ruined = picture.copy()
     ruined[mask] = 0
     assert np.abs(inpaint_shade(ruined, mask)[mask].astype(int) - picture[mask]).max() <= 6
+
+
+def test_bricks_go_on():
+    v, u = np.mgrid[:90, :120]
+    mortar = (v % 9 == 0) | ((u + 10 * (v // 9 % 2)) % 20 == 0)
+    picture = np.where(mortar, 200, 110 + 0.3 * u + 0.2 * v)[..., None].repeat(3, 2).astype(np.uint8)
+    mask = np.zeros(mortar.shape, bool)
+    mask[30:60, 40:80] = True
+    ruined = np.where(mask[..., None], np.uint8(0), picture)
+    errors = [
+        np.abs(f(ruined, mask)[mask] - picture[mask].astype(int)).mean()
+        for f in (inpaint_shade, inpaint_opencv)
+    ]
+    assert errors[0] < 0.4 * errors[1]
+
+
+def test_a_spline_under_tension_forgets_the_slope(rng):
+    """A ramp goes on whatever the tension; a border that darkens towards a wide hole does not blacken it."""
+    v, u = np.mgrid[:60, :60].astype(float)
+    mask = np.hypot(v - 30, u - 30) < 20
+    ramp = (3.0 * u - v)[..., None]
+    ruined = np.where(mask[..., None], rng.uniform(size=(60, 60, 1)), ramp)
+    for slope in (3.0, 1e4):
+        np.testing.assert_allclose(continued(ruined, mask, slope=slope), ramp, atol=1e-3)
+    shadow = (100.0 - 5.0 * np.clip(26.0 - np.hypot(v - 30, u - 30), 0.0, 6.0))[..., None]
+    shadow[0, 0] = 0.0  # there is black in the picture, so that nothing but tension stops the fall
+    middle = [continued(shadow, mask, slope=slope)[30, 30, 0] for slope in (3.0, 1e4)]
+    assert 70.0 - 5.0 * 3.0 < middle[0] < 70.0  # no farther than the slope times its reach
+    assert middle[1] < 35.0
+
+
+def test_smoothing_keeps_slopes_up_to_the_outline():
+    ramp, mask = _ramp().astype(float), _mask()
+    np.testing.assert_allclose(smoothed(ramp, ~mask, 3.0)[~mask], ramp[~mask], atol=0.8)
+    assert np.abs(smoothed(ramp, ~mask, 3.0)[~mask] - ramp[~mask]).mean() < 0.05
 
 
 def test_it_stays_dark_under_what_casts_a_shadow():

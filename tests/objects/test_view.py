@@ -19,6 +19,20 @@ def test_coverage_shares_a_pixel_out(run_folder, device):
     assert before.rgb[31, 31, 0] > 0.8 and before.rgb[31, 31, 1] < 0.2
 
 
+def test_weights_share_the_pixels_out(run_folder, device):
+    run = load_run(run_folder)
+    view = MapView(run.gaussians, run.camera, device=device)
+    left = np.zeros((run.camera.height, run.camera.width), bool)
+    left[:, :40] = True
+    weights = view.weights(run.poses[2], left, ~left)
+    for identifier in (1, 5, 8):
+        own = run.gaussians.object_ids == identifier
+        share = view.coverage(run.poses[2], own)[0]
+        np.testing.assert_allclose(weights[0, own].sum(), share[left].sum(), rtol=1e-3, atol=1e-2)
+        np.testing.assert_allclose(weights[1, own].sum(), share[~left].sum(), rtol=1e-3, atol=1e-2)
+    assert weights.shape == (2, len(run.gaussians)) and weights.min() >= 0.0
+
+
 def test_what_is_hidden_covers_nothing(run_folder):
     run = load_run(run_folder)
     behind = run.gaussians.object_ids == 1
