@@ -61,6 +61,7 @@ class WithoutMasks:
     def __init__(self, dataset: Dataset) -> None:
         self.name, self.kind, self.camera = dataset.name, dataset.kind, dataset.camera
         self.has_depth = dataset.has_depth
+        self.stems: list[str] = getattr(dataset, "stems", [])
         self.inner = dataset
 
     def __len__(self) -> int:

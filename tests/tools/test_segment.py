@@ -69,6 +69,13 @@ def test_ones_own_segmenter_writes_masks_that_a_run_reads(
         assert (mask == 7).sum() == 100
 
 
+def test_the_built_in_office_is_segmented_too(tool: ModuleType, tmp_path: Path) -> None:
+    dataset = open_dataset("office", data_root=tmp_path, masks="none")
+    out = tmp_path / "masks"
+    assert tool.write_masks(dataset, bright, out, step=len(dataset) - 1) == 2
+    assert open_dataset("office", data_root=tmp_path, masks=out)[0].mask is not None
+
+
 def test_every_second_frame(tool: ModuleType, sequence: Path, tmp_path: Path) -> None:
     dataset = open_dataset(str(sequence), data_root=tmp_path)
     assert tool.write_masks(dataset, bright, tmp_path / "masks", step=2) == 2
