@@ -83,7 +83,9 @@ def _move(run: SavedRun, step: argparse.Namespace) -> SavedRun:
     moved = edit.move(run.gaussians, chosen, T)
     entry = {"edit": "move", "id": record.id, "T": T.tolist()}
     if step.fill:
-        left, added = _without(run, chosen, step)
+        # Its strays, which do not move along, would stay behind as crumbs.
+        strays = argparse.Namespace(**{**vars(step), "cut_outliers": False})
+        left, added = _without(run, chosen | chosen_gaussians(run, record, strays), step)
         moved = edit.join(left, edit.extract(moved, chosen))
         entry["filled"] = added
     return run.edited(moved, entry)

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from ggwarp.io.ply import read_ply
+from ggwarp.io.ply import read_ply, write_ply
 from ggwarp.objects.__main__ import main
 from ggwarp.objects.saved import load_run
 
@@ -36,6 +36,20 @@ def test_show_lights_the_object(run_folder, capsys):
     colourful = np.ptp(picture.astype(int), axis=2) > 100
     assert 150 < colourful.sum() < 2000  # the cube alone has its colour
     assert picture[~colourful].mean() < 80
+
+
+def test_an_object_moved_with_its_hole_filled_leaves_no_crumbs(run_folder):
+    gaussians = read_ply(run_folder / "map.ply")
+    assert gaussians.object_ids is not None
+    stray = np.nonzero(np.linalg.norm(gaussians.means - [1.2, 1.2, 3.0], axis=1).argsort().argsort() < 2)[0]
+    gaussians.object_ids[stray] = 5
+    write_ply(run_folder / "map.ply", **vars(gaussians))
+    out = run_folder / "moved"
+    where = ["--translate", "0.2", "-0.6", "0", "--no-adopt", "--fill", "--device", "cpu"]
+    assert main([str(run_folder), "move", "5", *where, "--out", str(out)]) == 0
+    moved = read_ply(out / "map.ply")
+    own = moved.means[moved.object_ids == 5]
+    assert len(own) == 6 * 81 and np.abs(own.mean(0) - [-0.1, -0.6, 2.0]).max() < 0.01
 
 
 def test_extract(run_folder, capsys):
