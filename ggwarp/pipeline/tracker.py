@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from ggwarp.kernels.streams import to_host
 from ggwarp.ops.registration import Registrar, Registration, Stage, Target, build_target, match_distances2
 from ggwarp.pipeline.motion import Motion, depth_time, slide
 from ggwarp.pipeline.observation import Observation, ObservationConfig, observe
+from ggwarp.pipeline.recall import Agreement, Recall, RecallConfig
 from ggwarp.types import Camera, Float32, Float64, Frame, MapSnapshot, TrackResult, Verdict
 
 
@@ -45,15 +46,14 @@ class TrackerConfig:
     poor_overlap: float = 0.4
     """A frame with a smaller share of matched points is poor."""
     sure_overlap: float = 0.6
-    """Below this share, registration is tried from other poses too, and the best overlap taken."""
-    search_turn: float = 0.15
-    """Angle of those poses, up, down, left and right of the predicted and the last good one, radians;
-    it grows with every lost frame."""
+    """Below this share, or after a jump, registration is tried from other poses, too, and the best pose that
+    remembered views agree with is taken; without such a pose the frame is lost."""
+    recall: RecallConfig = field(default_factory=RecallConfig)
     max_slide: float = 0.01
     """A frame whose position is uncertain by more along some direction is poor, or lost if its overlap is
     poor too, metres."""
     max_jump: float = 0.5
-    """A frame farther from its prediction is poor, or lost if its overlap is not sure, metres."""
+    """A frame farther from its prediction is a jump, and poor at best, metres."""
     max_turn: float = 0.6
     """Likewise a frame turned farther, radians."""
 
@@ -61,7 +61,8 @@ class TrackerConfig:
 class GicpTracker:
     """Frame-to-map generalised ICP (GG-SLAM section 1a).
 
-    Keeps the last good pose and the velocity itself; reads neither ``Frame.T_wc`` nor colour.
+    Keeps the last good pose and the velocity itself; never reads ``Frame.T_wc``;
+    looks at colour only to find and check the pose of a frame that registers badly.
 
     Attributes:
         registration: of the last frame, whether it was believed or not; None where there was none.
@@ -73,6 +74,7 @@ class GicpTracker:
         self._camera = sensor_camera
         self._device = device
         self._registrar = Registrar(device=device)
+        self._recall = Recall(config.recall, sensor_camera)
         self._target: Target | None = None
         self._target_version: int | None = None
         self._motion: Motion | None = None
@@ -88,6 +90,7 @@ class GicpTracker:
         self._motion = Motion.at_rest(T_wc, depth_time(frame))
         if seen.count < self._config.min_points:
             return _result(self._motion.T_wc, np.eye(4), Verdict.LOST, seen, self._too_few(seen))
+        self._recall.remember(frame, self._motion.T_wc)
         return _result(self._motion.T_wc, np.eye(4), Verdict.CONVERGED, seen)
 
     def track(self, frame: Frame, target: MapSnapshot) -> TrackResult:
@@ -105,12 +108,13 @@ class GicpTracker:
             return self._lose(frame, predicted, self._too_few(seen), seen)
         self._aim(target, seen.spacing)
         assert self._target is not None
-        fit, distances2 = self._search(seen, predicted)
-        self.registration = fit
-        verdict, reason = self._judge(fit, predicted, _overlap(distances2))
+        found = self._search(frame, seen, predicted)
+        self.registration, fit, distances2 = found.fit, found.fit, found.distances2
+        verdict, reason = self._judge(found, predicted)
         if verdict is Verdict.LOST:
             return self._lose(frame, predicted, reason, seen, fit, distances2)
         self._motion = self._motion.moved(fit.T_wc, depth_time(frame))
+        self._recall.remember(frame, fit.T_wc)
         return _result(fit.T_wc, self._motion.to_colour(frame), verdict, seen, reason, fit, distances2)
 
     def _too_few(self, seen: Observation) -> str:
@@ -161,25 +165,32 @@ class GicpTracker:
         ]
         return [*stages, Stage(fine, fine_iterations, c.tolerance, c.robust_scale)]
 
-    def _search(self, seen: Observation, predicted: Float64) -> tuple[Registration, Float32]:
-        """Register from the prediction; where that fits badly, from poses around it and the last good one."""
+    def _search(self, frame: Frame, seen: Observation, predicted: Float64) -> _Found:
+        """Register from the prediction; where that fits badly, from wherever the camera may have been."""
         assert self._motion is not None
-        best = self._fit(seen, predicted)
-        if _overlap(best[1]) >= self._config.sure_overlap:
+        first = self._fit(seen, predicted)
+        if first.overlap >= self._config.sure_overlap and not self._jump(first.fit, predicted):
+            return first
+        best = self._checked(frame, first)
+        if best.believed and best.overlap >= self._config.sure_overlap:
             return best
-        turn = self._config.search_turn * (1 + self._motion.lost)
-        turns = [np.zeros(3), *(sign * turn * axis for axis in np.eye(3)[:2] for sign in (1.0, -1.0))]
-        for base in (self._motion.T_wc, predicted):
-            for w in turns:
-                other = self._fit(seen, base @ lie.se3_exp([0.0, 0.0, 0.0, *w]))
-                if _overlap(other[1]) > _overlap(best[1]):
-                    best = other
+        for T_start in self._recall.starts(frame, [self._motion.T_wc, predicted]):
+            found = self._checked(frame, self._fit(seen, T_start))
+            if (found.believed, found.overlap) > (best.believed, best.overlap):
+                best = found
+            if best.believed and best.overlap >= self._config.sure_overlap:
+                break
         return best
 
-    def _fit(self, seen: Observation, T_start: Float64) -> tuple[Registration, Float32]:
+    def _checked(self, frame: Frame, found: _Found) -> _Found:
+        agreement = self._recall.agreement(frame, found.fit.T_wc)
+        return replace(found, agreement=agreement, believed=self._recall.believes(agreement))
+
+    def _fit(self, seen: Observation, T_start: Float64) -> _Found:
         assert self._target is not None
         fit = self._registrar.register(seen.cloud, self._target, T_start, self._stages(seen.spacing))
-        return fit, self._distances2(seen, fit.T_wc)
+        distances2 = self._distances2(seen, fit.T_wc)
+        return _Found(fit, distances2, _overlap(distances2))
 
     def _distances2(self, seen: Observation, T_wc: Float64) -> Float32:
         """Return [n] squared distance of each point to the map, m^2; inf where nothing is near."""
@@ -187,31 +198,35 @@ class GicpTracker:
         reach = max(self._config.overlap_distance, self._config.reach * seen.spacing)
         return match_distances2(seen.cloud, self._target, T_wc, radius=reach, device=self._device)
 
-    def _judge(self, fit: Registration, predicted: Float64, overlap: float) -> tuple[Verdict, str]:
-        config = self._config
-        assert self._motion is not None
-        allowed = 1 + self._motion.lost
-        jump = lie.se3_log(lie.inverse(predicted) @ fit.T_wc)
-        distance, turn = float(np.linalg.norm(jump[:3])), float(np.linalg.norm(jump[3:]))
-        slid = slide(fit.information)
-        jumped = distance > allowed * config.max_jump or turn > allowed * config.max_turn
-        jump_reason = f"jump of {distance:.2f} m, {np.degrees(turn):.0f} degrees"
+    def _judge(self, found: _Found, predicted: Float64) -> tuple[Verdict, str]:
+        config, fit, overlap = self._config, found.fit, found.overlap
+        slid, jump_reason = slide(fit.information), self._jump(fit, predicted)
         overlap_reason = f"overlap {overlap:.2f} with the map"
         slide_reason = f"position free to slide by {slid:.3f} m"
         if overlap < config.lost_overlap:
             return Verdict.LOST, overlap_reason
         if not np.isfinite(slid):
             return Verdict.LOST, "the geometry does not fix the pose"
+        if found.agreement is not None and not found.believed:
+            return Verdict.LOST, f"{overlap_reason}, {found.agreement} with earlier views"
         # One weakness alone can be the scene's; two together are a wrong pose.
-        if jumped and overlap < config.sure_overlap:
-            return Verdict.LOST, f"{jump_reason}, {overlap_reason}"
         if slid > config.max_slide and overlap < config.poor_overlap:
             return Verdict.LOST, f"{slide_reason}, {overlap_reason}"
         if slid > config.max_slide:
             return Verdict.POOR, slide_reason
         if overlap < config.poor_overlap:
             return Verdict.POOR, overlap_reason
-        return (Verdict.POOR, jump_reason) if jumped else (Verdict.CONVERGED, "")
+        return (Verdict.POOR, jump_reason) if jump_reason else (Verdict.CONVERGED, "")
+
+    def _jump(self, fit: Registration, predicted: Float64) -> str:
+        """Say how far the pose is from the predicted one, where that is farther than is likely."""
+        assert self._motion is not None
+        allowed = 1 + self._motion.lost
+        jump = lie.se3_log(lie.inverse(predicted) @ fit.T_wc)
+        distance, turn = float(np.linalg.norm(jump[:3])), float(np.linalg.norm(jump[3:]))
+        if distance <= allowed * self._config.max_jump and turn <= allowed * self._config.max_turn:
+            return ""
+        return f"jump of {distance:.2f} m, {np.degrees(turn):.0f} degrees"
 
     def _lose(
         self,
@@ -226,6 +241,17 @@ class GicpTracker:
         self._motion.lost += 1
         shift = self._motion.to_colour(frame)
         return _result(predicted, shift, Verdict.LOST, seen, reason, fit, distances2)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """A registration, its points' squared distances [n] to the map, and what remembered views say of it."""
+
+    fit: Registration
+    distances2: Float32
+    overlap: float
+    agreement: Agreement | None = None
+    believed: bool = False
 
 
 def _overlap(distances2: Float32) -> float:
