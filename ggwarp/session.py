@@ -188,6 +188,7 @@ def evaluate(
         record.poses(),
         slam.render,
         mapped=slam.keyframe_indices,
+        watched=slam.watched_indices,
         lpips=open_lpips(),
         on_view=on_view,
     )

@@ -87,6 +87,7 @@ def evaluate(
     render: Callable[[Float64], Rendered],
     *,
     mapped: Iterable[int],
+    watched: Iterable[int] = (),
     lpips: image.Lpips | None = None,
     on_view: Callable[[Frame, Rendered, FrameScore], None] | None = None,
 ) -> Evaluation:
@@ -97,10 +98,12 @@ def evaluate(
         poses: index -> [4, 4] estimated camera-to-world pose; frames without one are passed over.
         render: the map's view from a camera-to-world pose.
         mapped: indices of frames ever used for mapping.
+        watched: of others whose mask was used: objects are not held out in those, either.
         lpips: see :func:`ggwarp.evaluation.image.open_lpips`.
         on_view: called with each frame, its view and its score.
     """
     used = set(mapped)
+    taught = used | set(watched)
     scores: list[FrameScore] = []
     objects: dict[tuple[Reference, bool], ObjectScore] = defaultdict(ObjectScore)
     for frame in frames:
@@ -112,7 +115,7 @@ def evaluate(
         reference: Reference = "given" if frame.true_mask is None else "truth"
         mask = frame.mask if frame.true_mask is None else frame.true_mask
         if mask is not None and view.objects is not None:
-            objects[reference, score.held_out].add(view.objects, mask)
+            objects[reference, frame.index not in taught].add(view.objects, mask)
         if on_view is not None:
             on_view(frame, view, score)
     # Frames whose truth is not known count only where that of no frame is.

@@ -20,22 +20,25 @@ _CLEAR = 0.8
 
 
 class LabelHistory:
-    """How often each object of the map carried which label, in keyframes.
+    """How often each object of the map carried which label, in views.
 
     Attributes:
-        counts: [classes, classes] keyframes in which most of object i was labelled j.
+        counts: [classes, classes] views in which most of object i was labelled j.
     """
 
     def __init__(self) -> None:
         self.counts: NDArray[np.int64] = np.zeros((1, 1), np.int64)
 
-    def overruled(self, known: Labels, given: Labels, classes: int) -> list[tuple[int, int]]:
-        """Take in a keyframe; return (object, label) where its label is to be disbelieved.
+    def overruled(
+        self, known: Labels, given: Labels, classes: int, *, anew: bool = True
+    ) -> list[tuple[int, int]]:
+        """Take in a view; return (object, label) where its label is to be disbelieved.
 
         Args:
             known: [h, w] the map's class where it is sure, else negative.
             given: [h, w] the class that the mask gives.
             classes: classes so far.
+            anew: count the view; False: it was taken in before.
         """
         grown = classes - len(self.counts)
         if grown > 0:
@@ -48,7 +51,7 @@ class LabelHistory:
             label = int(table[m].argmax())
             if table[m, label] <= _MAJORITY * sizes[m]:
                 continue
-            self.counts[m, label] += 1
+            self.counts[m, label] += anew
             # The object's own name came at least once: with the keyframe that made it.
             if label != m and self.counts[m, label] <= max(self.counts[m, m], 1):
                 wrong.append((m, label))

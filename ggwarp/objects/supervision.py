@@ -4,7 +4,8 @@
 Masks are taken with a grain of salt. Each of their pixels is a vote for the Gaussian that it shows, and a
 Gaussian's identity is the mean of its votes: dots, ragged borders and swapped ids are outvoted. What the map
 knows by several votes, in turn, is held against the mask: objects under a wrong id are given their own
-back, pixels that contradict the map teach nothing, and objects that turn out to be one are joined.
+back, pixels that contradict the map teach nothing, and objects that turn out to be one are joined. Frames that are
+no keyframes vote, too, and keyframes are looked at again, as the map learns what was wrong with them.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Any
 import cv2
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from ggwarp import lie
 from ggwarp.kernels.fusion import fuse_labels, gather_evidence
@@ -52,6 +54,11 @@ class SupervisionConfig:
     """... and so many keyframes voted there."""
     contradiction: int = 3
     """Pixels that contradict the map teach nothing where so many keyframes voted."""
+    watch: int = 5
+    """Frames that are no keyframes vote with their masks, too, but for one in so many, where objects can be
+    measured; 0: none does."""
+    revise: int = 1
+    """Every so many frames a past keyframe, in turn, is held against what the map knows by now; 0: none."""
     joining: JoiningConfig = field(default_factory=JoiningConfig)
     matching: MatchingConfig = field(default_factory=MatchingConfig)
 
@@ -100,14 +107,18 @@ class ObjectSupervision:
         self._matcher = None if tracked else SegmentMatcher(config.matching, classes)
         self._history = LabelHistory()
         self._joining = Joining(config.joining)
+        self._given: dict[int, NDArray[np.uint8]] = {}
 
-    def teach(self, frame: Frame, T_wc: Float64, rendered: Rendered | None) -> Lesson | None:
+    def teach(
+        self, frame: Frame, T_wc: Float64, rendered: Rendered | None, *, keep: bool = True
+    ) -> Lesson | None:
         """Let ``frame``'s mask vote, and return what else it teaches; None: nothing at all.
 
         Args:
-            frame: the keyframe, with depth.
+            frame: with depth.
             T_wc: [4, 4] its pose.
             rendered: the map's view from there; None while the map is empty.
+            keep: it is a keyframe: keep its labels for :meth:`revise`.
         """
         c = self._config
         seen = None if rendered is None else self._seen(frame, rendered)
@@ -118,11 +129,12 @@ class ObjectSupervision:
         self._classifier.grow(self._classes.count)
         if c.votes == 0:
             return Lesson(given, given, given)
+        if keep and c.revise > 0:
+            self._given[frame.index] = _packed(given)
         if rendered is None or seen is None:
             return Lesson(given, given, filled(given))
         assert rendered.confidence is not None
-        T_cw = wp.array(lie.inverse(T_wc).astype(np.float32)[None], dtype=wp.mat44, device=self._device)
-        depth = wp.array(frame.depth, dtype=float, device=self._device)
+        T_cw, depth = self._uploaded(frame, T_wc)
         evidence = self._evidence(T_cw, depth)
         sure = np.where(rendered.confidence >= c.sure, seen, IGNORED)
         known = np.where(evidence >= c.evidence, sure, IGNORED)
@@ -132,6 +144,33 @@ class ObjectSupervision:
         self._join(known, mask.segments, frame.index)
         contradicted = (sure >= 0) & (sure != labels) & (evidence >= c.contradiction)
         return Lesson(labels, np.where(contradicted, IGNORED, labels), filled(labels))
+
+    def revise(self, frame: Frame, T_wc: Float64, rendered: Rendered) -> Labels | None:
+        """Return :attr:`Lesson.targets` of a past keyframe as the map sees it by now; None: it has none.
+
+        Args:
+            frame: the keyframe; its mask does not matter.
+            T_wc: [4, 4] its pose.
+            rendered: the map's view from there.
+        """
+        packed = self._given.get(frame.index)
+        if packed is None:
+            return None
+        assert rendered.confidence is not None
+        c = self._config
+        given = self._classes.joined(_unpacked(packed))
+        believed = (rendered.confidence >= c.sure) & (
+            self._evidence(*self._uploaded(frame, T_wc)) >= c.contradiction
+        )
+        known = np.where(believed, self._seen(frame, rendered), IGNORED)
+        wrong = self._history.overruled(known, given, self._classes.count, anew=False)
+        labels = corrected(known, given, wrong) if wrong else given
+        return np.where((known >= 0) & (known != labels), IGNORED, labels)
+
+    def _uploaded(self, frame: Frame, T_wc: Float64) -> tuple[wp.array, wp.array]:
+        """Return the pose as the kernels want it, and the depth."""
+        T_cw = wp.array(lie.inverse(T_wc).astype(np.float32)[None], dtype=wp.mat44, device=self._device)
+        return T_cw, wp.array(frame.depth, dtype=float, device=self._device)
 
     def _understood(self, frame: Frame, T_wc: Float64, seen: Labels | None) -> Understood:
         assert frame.mask is not None and frame.depth is not None
@@ -190,6 +229,15 @@ class ObjectSupervision:
             votes=self._map.fields["votes"],
             device=self._device,
         )
+
+
+def _packed(labels: Labels) -> NDArray[np.uint8]:
+    """Return labels as a PNG: a few kilobytes, where the image would be megabytes."""
+    return np.asarray(cv2.imencode(".png", (labels - IGNORED).astype(np.uint16))[1], np.uint8)
+
+
+def _unpacked(packed: NDArray[np.uint8]) -> Labels:
+    return np.asarray(cv2.imdecode(packed, cv2.IMREAD_UNCHANGED), np.int32) + IGNORED
 
 
 def _without_mask(seen: Labels) -> Lesson:

@@ -58,6 +58,7 @@ class Mapper:
         covisibility: what a pose sees of the map; None without a window.
         sightings: which keyframes showed which class.
         keyframe_indices: frames that were ever used for mapping.
+        watched_indices: frames whose mask voted, but that were not mapped.
     """
 
     def __init__(
@@ -92,6 +93,8 @@ class Mapper:
         self.classes = ClassTable()
         self.classifier = Classifier(config.classifier, self.map, seed=config.seed) if use_identity else None
         self.sightings = Sightings()
+        self.watched_indices: list[int] = []
+        self._others = self._turns = 0
         self._supervision = (
             ObjectSupervision(
                 config.supervision,
@@ -172,10 +175,37 @@ class Mapper:
         kept = ~unconfirmed(births, sights, confirmations)
         self.map.keep(wp.array(kept.astype(np.int32), dtype=int, device=self._device))
 
-    def remember(self, frame: Frame, T_wc: Float64) -> None:
-        """Keep a frame, tracked at ``T_wc`` [4, 4], for the depth of later ones; every frame, in order."""
+    def remember(self, frame: Frame, T_wc: Float64, *, hurried: bool = False) -> None:
+        """Take in any frame, a keyframe or not, tracked at ``T_wc`` [4, 4]; every one, in order.
+
+        It is kept for the depth of later ones, and its mask may vote.
+
+        Args:
+            hurried: leave objects as they are, as there is no time.
+        """
         if self._guesser is not None:
             self._guesser.remember(frame, T_wc)
+        if not hurried and self._supervision is not None and self._config.supervision.votes > 0:
+            self._watch(self._supervision, frame, T_wc)
+
+    def _watch(self, supervision: ObjectSupervision, frame: Frame, T_wc: Float64) -> None:
+        """Let the mask of a frame that is no keyframe vote, and look at a keyframe again, in turn."""
+        c, keyframes = self._config.supervision, self._fitter.keyframes
+        if not keyframes or not self.map.count:
+            return
+        if frame.index != keyframes[-1].index and frame.mask is not None and c.watch > 0:
+            self._others += 1
+            if self._others % c.watch != 0:
+                supervision.teach(frame, T_wc, self.render(T_wc), keep=False)
+                self.watched_indices.append(frame.index)
+        self._turns += 1
+        if c.revise > 0 and self._turns % c.revise == 0:
+            number = self._turns // c.revise % len(keyframes)
+            again, T_wc = keyframes[number], self._fitter.pose(number)
+            past = replace(frame, index=again.index, depth=to_host(again.depth), mask=None)
+            targets = supervision.revise(past, T_wc, self.render(T_wc))
+            if targets is not None and again.labels is not None:
+                again.labels.assign(targets)
 
     def iterate(self) -> None:
         """Fit the map to one keyframe once; on CUDA, queue it: the host reads nothing."""

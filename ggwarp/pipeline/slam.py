@@ -178,7 +178,7 @@ class Slam:
             with lane:
                 self._mapper.insert(_with_depth(tracked), tracked.result.T_wc, tracked.result.exposure)
         if tracked.result.verdict is not Verdict.LOST:
-            self._mapper.remember(tracked.frame, tracked.result.T_wc)
+            self._mapper.remember(tracked.frame, tracked.result.T_wc, hurried=tracked.arrival.late)
         first = len(self.keyframe_indices) == 1 and tracked.kind is not KeyframeKind.NONE
         bootstrap = self.config.mapper.bootstrap if first and self._mapper.ready else 0
         for _ in range(bootstrap):
@@ -251,6 +251,11 @@ class Slam:
     @property
     def keyframe_indices(self) -> list[int]:
         return self._mapper.keyframe_indices
+
+    @property
+    def watched_indices(self) -> list[int]:
+        """Frames whose mask voted for the map's objects, though they were not mapped."""
+        return self._mapper.watched_indices
 
     def map_arrays(self) -> PlyGaussians:
         """Return the map on the host, with object ids."""

@@ -70,6 +70,13 @@ def test_objects_are_compared_with_the_truth_where_it_is_known():
     assert given.miou_against == "given" and given.all_frames.miou == 0.0
 
 
+def test_objects_are_not_held_out_where_the_mask_was_used():
+    frames, poses = [_frame(i) for i in range(3)], {0: _pose(0.1), 1: _pose(0.2), 2: _pose(0.1)}
+    result = evaluate(frames, poses, _view, mapped=[0], watched=[1])
+    assert result.held_out.frames == 2 and result.held_out.miou == 1.0
+    assert evaluate(frames, poses, _view, mapped=[0], watched=[1, 2]).held_out.miou is None
+
+
 def test_a_true_mask_alone_is_enough():
     truth = _frame(0).mask
     result = evaluate([_frame(0, mask=None, true_mask=truth)], {0: _pose(0.1)}, _view, mapped=[])

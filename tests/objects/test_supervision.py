@@ -82,6 +82,41 @@ def test_a_swapped_frame_is_seen_through(device: str, frame: Frame) -> None:
     assert agreement(mapper, frame, frame.mask == first) > 0.95
 
 
+@pytest.mark.parametrize("revise", [0, 1])
+def test_a_keyframe_s_early_mistake_is_taken_back(revise: int, device: str, frame: Frame) -> None:
+    """What a keyframe should look like is seen anew once other frames have outvoted it."""
+    assert frame.mask is not None and frame.T_wc is not None
+    first, second = largest(frame.mask)[:2]
+    swapped = np.select([frame.mask == first, frame.mask == second], [second, first], frame.mask)
+    mapper = mapped(device, frame, [swapped, *[frame.mask] * 5], watch=0, revise=revise)
+    keyframe = mapper._fitter.keyframes[0]
+    right = mapper.classes.encode(frame.mask)
+    where = (frame.mask == first) | (frame.mask == second)
+    assert (keyframe.labels.numpy()[where] != right[where]).all()
+    for index in range(1000, 1006):
+        mapper.remember(dataclasses.replace(frame, index=index), frame.T_wc)
+    labels = keyframe.labels.numpy()
+    wrong = where & (labels >= 0) & (labels != right)
+    assert wrong.sum() < 0.1 * where.sum() if revise else wrong.sum() == where.sum()
+    assert (labels[~where] == right[~where]).mean() > 0.9
+
+
+@pytest.mark.parametrize("watch", [0, 5])
+def test_frames_that_are_no_keyframes_vote(watch: int, device: str, frame: Frame) -> None:
+    assert frame.mask is not None and frame.T_wc is not None
+    target = largest(frame.mask)[0]
+    wrong = renamed(frame.mask, target, int(frame.mask.max()) + 1)
+    mapper = mapped(device, frame, [wrong], watch=watch, revise=0)
+    for index in range(1000, 1010):
+        mapper.remember(dataclasses.replace(frame, index=index), frame.T_wc)
+    share = agreement(mapper, frame, frame.mask == target)
+    assert share > 0.9 if watch else share == 0.0
+    assert len(mapper.watched_indices) == (8 if watch else 0), "one in five is held out"
+    hurried = mapper.map.fields["votes"].numpy().copy()
+    mapper.remember(dataclasses.replace(frame, index=2000), frame.T_wc, hurried=True)
+    np.testing.assert_array_equal(mapper.map.fields["votes"].numpy(), hurried)
+
+
 def test_frames_without_mask_learn_from_the_map(device: str, frame: Frame) -> None:
     mapper = mapped(device, frame, [frame.mask, None])
     votes = mapper.map.fields["votes"].numpy()[: mapper.map.count]
