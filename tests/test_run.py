@@ -63,7 +63,7 @@ class FakeSlam:
     def __init__(self, config, camera, sensor_camera, *, device, scheduler=None):
         self.camera, self.device, self.scheduler = camera, device, scheduler
         self.refined = 0
-        self.keyframe_indices = [0, 1]
+        self.keyframe_indices, self.watched_indices = [0, 1], [3]
         self.counts = {"tracking_keyframes": 1, "mapping_keyframes": 1, "frames_lost": 0}
 
     def track_frame(self, frame):
