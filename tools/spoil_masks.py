@@ -94,6 +94,16 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "--swapped", type=float, default=0.0, help="share of object-frames with the id of another in view"
     )
+    parser.add_argument(
+        "--reborn", type=float, default=0.0, help="share of the objects with a new id from --changed-at on"
+    )
+    parser.add_argument(
+        "--stolen",
+        type=float,
+        default=0.0,
+        help="share of the objects whose id is the next object's from --changed-at on",
+    )
+    parser.add_argument("--changed-at", type=int, default=0, help="frame at which tracks break for good")
     parser.add_argument("--shuffle-ids", action="store_true", help="draw the ids anew in every frame")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
@@ -105,9 +115,13 @@ def main(arguments: list[str] | None = None) -> int:
         swapped=options.swapped,
         shuffled=options.shuffle_ids,
         missing=options.missing,
+        reborn=options.reborn,
+        stolen=options.stolen,
+        changed_at=options.changed_at,
         seed=options.seed,
     )
-    shares = {name: getattr(faults, name) for name in ("dots", "missing", "dropped", "swapped")}
+    names = ("dots", "missing", "dropped", "swapped", "reborn", "stolen")
+    shares = {name: getattr(faults, name) for name in names}
     for name, share in shares.items():
         if not 0.0 <= share < 1.0:
             parser.error(f"--{name} {share:g}: give a share, at least 0 and below 1")

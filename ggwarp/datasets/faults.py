@@ -56,6 +56,10 @@ class MaskFaults:
         swapped: share of object-frames that carry the id of another object in view.
         shuffled: ids are drawn anew in every frame, so they say nothing across frames.
         missing: share of frames without any mask.
+        reborn: share of the objects that carry a new id from frame ``changed_at`` on.
+        stolen: share of the objects whose id the next object carries from frame ``changed_at`` on, itself
+            a new one: a track that slipped from one object to another for good.
+        changed_at: the frame's index.
         seed: of all the randomness.
     """
 
@@ -66,6 +70,9 @@ class MaskFaults:
     swapped: float = 0.0
     shuffled: bool = False
     missing: float = 0.0
+    reborn: float = 0.0
+    stolen: float = 0.0
+    changed_at: int = 0
     seed: int = 0
 
 
@@ -149,6 +156,29 @@ def relabelled(mask: Ids, names: dict[int, int]) -> Ids:
     return table[mask]
 
 
+def changed_names(ids: Ids, reborn: float, stolen: float, rng: np.random.Generator) -> dict[int, int]:
+    """Return the new id of each object whose track breaks for good.
+
+    Args:
+        ids: [n] all ids of the sequence, distinct, at least 1.
+        reborn, stolen: as of :class:`MaskFaults`.
+        rng: two numbers an object are drawn.
+    """
+    objects: list[int] = ids.tolist()
+    dice = rng.random((2, len(objects)))
+    fresh = max(objects, default=0) + 1
+    names: dict[int, int] = {}
+    for k, identifier in enumerate(objects):
+        if identifier in names:
+            continue
+        heir = objects[(k + 1) % len(objects)]
+        if dice[0, k] < reborn:
+            names[identifier] = fresh + k
+        elif dice[1, k] < stolen and heir != identifier and heir not in names:
+            names[identifier], names[heir] = fresh + k, identifier
+    return names
+
+
 def faulty_mask(mask: Ids, faults: MaskFaults, index: int, ids: Ids) -> Ids | None:
     """Return a frame's mask with its faults; None where it goes missing.
 
@@ -161,6 +191,9 @@ def faulty_mask(mask: Ids, faults: MaskFaults, index: int, ids: Ids) -> Ids | No
     if np.random.default_rng([faults.seed, 3, index]).random() < faults.missing:
         return None
     rng = np.random.default_rng([faults.seed, 2, index])
+    if (faults.reborn > 0 or faults.stolen > 0) and index >= faults.changed_at:
+        breaks = np.random.default_rng([faults.seed, 4])
+        mask = relabelled(mask, changed_names(ids, faults.reborn, faults.stolen, breaks))
     seen = np.unique(mask[mask > 0])
     dice = rng.random((2, seen.size))
     others = np.roll(seen, 1)

@@ -8,7 +8,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from ggwarp.datasets.faults import MaskFaults, faulty_mask
+from ggwarp.datasets.faults import MaskFaults, changed_names, faulty_mask
 from ggwarp.datasets.masks import read_mask, write_mask
 
 
@@ -51,6 +51,26 @@ def test_writes_the_faults_of_the_data_sets(
         assert (want is None) == (path.stem not in written)
         if want is not None:
             np.testing.assert_array_equal(read_mask(out / path.name), want)
+
+
+def test_tracks_break_for_good(tool: ModuleType, clean: Path, tmp_path: Path) -> None:
+    """Up to frame 10 as they were; from there on 300 carries 7's id, or both carry new ones."""
+    for name, want in (("stolen", {7: 301, 300: 7}), ("reborn", {7: 301, 300: 302})):
+        out = tmp_path / name
+        assert tool.main([str(clean), str(out), f"--{name}", "0.999", "--changed-at", "10"]) == 0
+        for i, path in enumerate(sorted(clean.iterdir())):
+            given, got = read_mask(path), read_mask(out / path.name)
+            for old, new in want.items():
+                assert np.unique(got[given == old]).tolist() == [old if i < 10 else new], (name, i)
+
+
+def test_no_two_objects_share_an_id_after_a_break() -> None:
+    ids = np.arange(1, 200, dtype=np.int32)
+    for seed in range(5):
+        names = changed_names(ids, 0.2, 0.3, np.random.default_rng(seed))
+        assert 40 < len(names) < 160
+        assert len({names.get(i, i) for i in ids.tolist()}) == len(ids)
+    assert changed_names(ids, 0.0, 0.0, np.random.default_rng(0)) == {}
 
 
 def test_says_what_is_wrong(tool: ModuleType, clean: Path, tmp_path: Path, capsys) -> None:
