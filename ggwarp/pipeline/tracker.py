@@ -48,10 +48,12 @@ class TrackerConfig:
     sure_overlap: float = 0.6
     """Below this share, or after a jump, registration is tried from other poses, too, and the best pose that
     remembered views agree with is taken; without such a pose the frame is lost."""
+    clear_overlap: float = 0.9
+    """That search ends where such a pose has this share."""
     recall: RecallConfig = field(default_factory=RecallConfig)
     max_slide: float = 0.01
     """A frame whose position is uncertain by more along some direction is poor, or lost if its overlap is
-    poor too, metres."""
+    poor too, metres; thrice that where earlier views agree with it."""
     max_jump: float = 0.5
     """A frame farther from its prediction is a jump, and poor at best, metres."""
     max_turn: float = 0.6
@@ -150,8 +152,10 @@ class GicpTracker:
     def _aim(self, target: MapSnapshot, spacing: float) -> None:
         """Prepare the map for registration, unless it is the one already prepared."""
         if target.version != self._target_version:
+            # Points without a match look through every cell in reach: a bound keeps these few.
+            cell = max(2.5 * spacing, self._config.radii[0] / 8.0)
             self._target = build_target(
-                target.means, target.quats, target.scales, cell_size=2.5 * spacing, device=self._device
+                target.means, target.quats, target.scales, cell_size=cell, device=self._device
             )
             self._target_version = target.version
 
@@ -172,13 +176,13 @@ class GicpTracker:
         if first.overlap >= self._config.sure_overlap and not self._jump(first.fit, predicted):
             return first
         best = self._checked(frame, first)
-        if best.believed and best.overlap >= self._config.sure_overlap:
+        if best.believed and best.overlap >= self._config.clear_overlap:
             return best
         for T_start in self._recall.starts(frame, [self._motion.T_wc, predicted]):
             found = self._checked(frame, self._fit(seen, T_start))
-            if (found.believed, found.overlap) > (best.believed, best.overlap):
+            if found.rank > best.rank:
                 best = found
-            if best.believed and best.overlap >= self._config.sure_overlap:
+            if best.believed and best.overlap >= self._config.clear_overlap:
                 break
         return best
 
@@ -210,7 +214,8 @@ class GicpTracker:
         if found.agreement is not None and not found.believed:
             return Verdict.LOST, f"{overlap_reason}, {found.agreement} with earlier views"
         # One weakness alone can be the scene's; two together are a wrong pose.
-        if slid > config.max_slide and overlap < config.poor_overlap:
+        slides = slid > config.max_slide * (3.0 if found.believed else 1.0)
+        if slides and overlap < config.poor_overlap:
             return Verdict.LOST, f"{slide_reason}, {overlap_reason}"
         if slid > config.max_slide:
             return Verdict.POOR, slide_reason
@@ -252,6 +257,11 @@ class _Found:
     overlap: float
     agreement: Agreement | None = None
     believed: bool = False
+
+    @property
+    def rank(self) -> tuple[bool, float]:
+        """The larger, the better."""
+        return self.believed, self.overlap * (1.0 if self.agreement is None else self.agreement.score)
 
 
 def _overlap(distances2: Float32) -> float:
