@@ -3,7 +3,8 @@
 
 A tracker that swaps two ids, loses an object or revives it under another id is wrong about a whole object at
 once. The map remembers what the object was called before: one frame cannot rename it, more frames than
-those that called it so can.
+those that called it so can, unless these were several: a track that slips to another object for good takes
+nothing with it.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ from ggwarp.objects.labels import Labels, contingency, thinned
 _LEAST_PIXELS = 20
 _MAJORITY = 0.5
 _CLEAR = 0.8
+_ESTABLISHED = 4
+"""An object that came under its own name in so many views keeps it: the tracker's ids went astray."""
 
 
 class LabelHistory:
@@ -53,7 +56,8 @@ class LabelHistory:
                 continue
             self.counts[m, label] += anew
             # The object's own name came at least once: with the keyframe that made it.
-            if label != m and self.counts[m, label] <= max(self.counts[m, m], 1):
+            own = self.counts[m, m]
+            if label != m and (own >= _ESTABLISHED or self.counts[m, label] <= max(own, 1)):
                 wrong.append((m, label))
         return wrong
 

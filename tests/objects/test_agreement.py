@@ -43,6 +43,18 @@ def test_more_frames_than_called_it_so_rename_it() -> None:
     assert verdicts == [[(1, 3)], [], []]
 
 
+def test_an_established_name_stays() -> None:
+    """A track slips from object 1 to object 2 for good: 2 is called 1, and 1 is called 3."""
+    history, known = LabelHistory(), np.repeat(np.int32([[1], [2]]), 30, axis=0).repeat(10, axis=1)
+    slipped = np.where(known == 1, 3, 1).astype(np.int32)
+    for _ in range(4):
+        assert history.overruled(known, known, 4) == []
+    for _ in range(20):
+        wrong = history.overruled(known, slipped, 4)
+        assert wrong == [(1, 3), (2, 1)]
+        np.testing.assert_array_equal(corrected(known, slipped, wrong), known)
+
+
 def test_a_majority_must_carry_the_other_label() -> None:
     known, given = picture(1, 1, 1), picture(1, 1, 2)
     history = LabelHistory()
