@@ -26,7 +26,7 @@ from ggwarp.io.table import write_table
 from ggwarp.io.trajectory import write_tum
 from ggwarp.objects.inventory import ObjectRecord
 from ggwarp.objects.linear import LinearClassifier, write_classifier
-from ggwarp.types import Float64, StepReport
+from ggwarp.types import Float64, StepReport, Verdict
 
 OUTPUTS = (
     "config.toml",
@@ -273,7 +273,9 @@ def _trajectory_errors(
 ) -> tuple[TrajectoryError | None, TrajectoryError | None, float | None]:
     """Return the absolute and the relative error, and the scale that was given to the estimate."""
     known = [r for r in record.reports if r.index in record.truth]
-    if not known:
+    tracked = sum(r.verdict is not Verdict.LOST for r in known)
+    # One pose held still fits any other: that would not be a measurement.
+    if tracked < min(2, len(known)) or not known:
         return None, None, None
     estimated = np.stack([r.T_wc for r in known])
     true = np.stack([record.truth[r.index] for r in known])

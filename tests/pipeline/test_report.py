@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import csv
+import dataclasses
 import json
 from pathlib import Path
 
@@ -104,6 +105,12 @@ def test_a_monocular_trajectory_is_aligned_with_its_scale(record):
     assert metrics["ate_rmse_cm"] == pytest.approx(0.0, abs=1e-9)
     record.truth = {}
     assert report.metrics_of(record, wall_s=9.0, gaussians=123)["alignment"] is None
+
+
+def test_a_camera_that_was_never_tracked_has_no_error(record):
+    assert len(record.reports) > 1
+    record.reports[1:] = [dataclasses.replace(r, verdict=Verdict.LOST) for r in record.reports[1:]]
+    assert report.metrics_of(record, wall_s=9.0, gaussians=123)["ate_rmse_cm"] is None
 
 
 def test_what_was_not_measured_is_null(tmp_path):
