@@ -54,7 +54,7 @@ class SupervisionConfig:
     """... and so many keyframes voted there."""
     contradiction: int = 3
     """Pixels that contradict the map teach nothing where so many keyframes voted."""
-    watch: int = 5
+    watch: int = 2
     """Frames that are no keyframes vote with their masks, too, but for one in so many, where objects can be
     measured; 0: none does."""
     revise: int = 1
