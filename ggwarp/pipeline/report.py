@@ -273,9 +273,9 @@ def _trajectory_errors(
 ) -> tuple[TrajectoryError | None, TrajectoryError | None, float | None]:
     """Return the absolute and the relative error, and the scale that was given to the estimate."""
     known = [r for r in record.reports if r.index in record.truth]
-    tracked = sum(r.verdict is not Verdict.LOST for r in known)
+    tracked = sum(r.verdict is not Verdict.LOST for r in record.reports)
     # One pose held still fits any other: that would not be a measurement.
-    if tracked < min(2, len(known)) or not known:
+    if not known or tracked < min(2, len(record.reports)):
         return None, None, None
     estimated = np.stack([r.T_wc for r in known])
     true = np.stack([record.truth[r.index] for r in known])
