@@ -25,6 +25,8 @@ LOG_BETA1 = wp.constant(wp.float32(math.log(0.9)))
 LOG_BETA2 = wp.constant(wp.float32(math.log(0.999)))
 EPSILON = wp.constant(wp.float32(1e-15))
 
+OPACITY_LANE = wp.constant(10)
+
 _FINITE = wp.constant(wp.float32(1.0e30))
 
 
@@ -154,7 +156,7 @@ def _gaussians_kernel(
     means[i] -= wp.vec3(d[0], d[1], d[2])
     quats[i] = wp.normalize(quats[i] - wp.vec4(d[3], d[4], d[5], d[6]))
     log_scales[i] -= wp.vec3(d[7], d[8], d[9])
-    opacity_logits[i] -= d[10]
+    opacity_logits[i] -= d[OPACITY_LANE]
     colours[i] -= wp.vec3(d[11], d[12], d[13])
 
     if with_identity != 0:

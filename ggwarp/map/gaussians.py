@@ -74,7 +74,8 @@ class GaussianMap:
         version: grows whenever rows are added or removed.
         allocation: grows whenever ``fields`` become other arrays.
         fields: name -> array of ``capacity`` rows: the parameters, the optimiser's state,
-            ``births``, ``votes`` and ``idle`` (:func:`ggwarp.kernels.compact.count_idle`).
+            ``births``, ``votes``, ``idle`` (:func:`ggwarp.kernels.compact.count_idle`), ``pulls`` and
+            ``pull_counts`` (:func:`ggwarp.kernels.project_adjoint.project_adjoint`).
     """
 
     def __init__(self, *, device: Any, has_identity: bool, capacity: int = 1 << 15) -> None:
@@ -86,6 +87,7 @@ class GaussianMap:
         names = [n for n in PARAMETERS if has_identity or n != "identities"]
         types = {n: PARAMETERS[n] for n in names}
         types |= {"first": vec16, "second": vec16, "steps": wp.int32, "births": wp.int32, "idle": wp.int32}
+        types |= {"pulls": wp.float32, "pull_counts": wp.int32}
         if has_identity:
             types |= {"first_identity": vec16, "second_identity": vec16, "votes": wp.int32}
         self.fields = {n: wp.zeros(capacity, dtype=t, device=self.device) for n, t in types.items()}

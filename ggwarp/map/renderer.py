@@ -117,21 +117,30 @@ class Renderer:
         if self.make_room():
             self.forward(T_cw)
 
-    def adjoint(self, T_cw: wp.array, *, pose: bool = False) -> None:
+    def adjoint(self, T_cw: wp.array, *, pose: bool = False, pulls: bool = False) -> None:
         """Chain ``d_image`` and ``d_transmittance`` to ``gradients``; after :meth:`forward`.
 
         Args:
             pose: write ``d_pose``, too.
+            pulls: add to the map's ``pulls`` and ``pull_counts``.
         """
         g = self.gradients
         outputs = {f"d_{name}": getattr(g, name) for name in PARAMETERS} | {"weights": self.weights}
-        self._chain(T_cw, outputs, self._pose_scratch() if pose else ())
+        fields = self._map.fields
+        counted = (fields["pulls"], fields["pull_counts"]) if pulls else None
+        self._chain(T_cw, outputs, self._pose_scratch() if pose else (), counted)
 
     def adjoint_pose(self, T_cw: wp.array) -> None:
         """Chain ``d_image`` and ``d_transmittance`` to ``d_pose`` alone; after :meth:`forward`."""
         self._chain(T_cw, {}, self._pose_scratch())
 
-    def _chain(self, T_cw: wp.array, outputs: dict[str, wp.array], pose: tuple[wp.array, ...]) -> None:
+    def _chain(
+        self,
+        T_cw: wp.array,
+        outputs: dict[str, wp.array],
+        pose: tuple[wp.array, ...],
+        pulls: tuple[wp.array, wp.array] | None = None,
+    ) -> None:
         m = self._map.parameters
         composite_adjoint(
             self.splats,
@@ -148,7 +157,7 @@ class Renderer:
         project_adjoint(
             m.means, m.quats, m.log_scales, m.opacity_logits, m.colours,
             T_cw=T_cw, camera=self._intrinsics, count=self.rows,
-            tiles=self.tiles, slots=self._slots, d_pose_scratch=pose, **outputs,
+            tiles=self.tiles, slots=self._slots, pulls=pulls, d_pose_scratch=pose, **outputs,
         )  # fmt: skip
 
     @property

@@ -22,6 +22,7 @@ from ggwarp.map.gaussians import GaussianMap
 from ggwarp.map.renderer import Renderer
 from ggwarp.map.workspaces import allocate_loss
 from ggwarp.objects.classifier import Classifier, ClassifierConfig
+from ggwarp.pipeline.densification import DensifyConfig, multiply
 from ggwarp.pipeline.drawing import Drawing
 from ggwarp.pipeline.exposure import Exposing
 from ggwarp.pipeline.views import EXPOSURE, POSE, Keyframe, Stage
@@ -65,6 +66,7 @@ class FitConfig:
     pruned, as they are hidden; 0: they stay."""
     prune_weight: float = 0.05
     """Fewer pixels of a view than this are next to nothing."""
+    densify: DensifyConfig = field(default_factory=DensifyConfig)
     classifier: ClassifierConfig = field(default_factory=ClassifierConfig)
 
 
@@ -73,6 +75,7 @@ class Fitter:
 
     Attributes:
         keyframes: on the device, in the order in which they came.
+        iterations: so far.
     """
 
     def __init__(
@@ -111,7 +114,7 @@ class Fitter:
         self._recorded = self._device.is_cuda if recorded is None else recorded
         self._graphs, self._stage = GraphCache(self._device), Stage()
         self._rates = wp.array(config.rates.lanes(), dtype=vec16, device=self._device)
-        self._iterations = 0
+        self.iterations = 0
         self.keyframes: list[Keyframe] = []
 
     def add(self, keyframe: Keyframe) -> None:
@@ -134,7 +137,7 @@ class Fitter:
         """Fit the map to one keyframe once; on CUDA, queue it: the host reads nothing."""
         number = self._drawing.draw()
         keyframe = self.keyframes[number]
-        with_3d = self._classifier is not None and self._classifier.begin_3d(self._iterations)
+        with_3d = self._classifier is not None and self._classifier.begin_3d(self.iterations)
         # The first keyframe holds the world in place, and its brightness.
         with_pose = number > 0 and any(self._config.pose_rates)
         with_exposure = number > 0 and self._config.exposure_rate > 0.0
@@ -147,9 +150,13 @@ class Fitter:
         else:
             self._fit(keyframe, with_3d, change)
         self._backlog.added()
-        self._iterations += 1
-        if self._iterations % self._config.prune_interval == 0:
+        self.iterations += 1
+        if self.iterations % self._config.prune_interval == 0:
             self._prune()
+        d = self._config.densify
+        if d.interval > 0 and self.iterations > d.offset and (self.iterations - d.offset) % d.interval == 0:
+            multiply(self._map, d, np.random.default_rng((5, self.iterations)))
+            self._renderer.make_room()
 
     def settle(self) -> float:
         """Wait for the iterations since the last call; return their mean loss, NaN where there were none."""
@@ -175,7 +182,7 @@ class Fitter:
             self._exposing.step(keyframe)
         else:
             self._evaluate(keyframe, self._renderer.image)
-        self._renderer.adjoint(keyframe.T_cw, pose=with_pose)
+        self._renderer.adjoint(keyframe.T_cw, pose=with_pose, pulls=self._config.densify.interval > 0)
         if self._classifier is not None and with_3d:
             self._classifier.evaluate_3d(self._renderer, self._losses)
         if self._config.isotropic_weight > 0.0:

@@ -21,6 +21,7 @@ from ggwarp.objects.linear import LinearClassifier
 from ggwarp.objects.registry import NO_OBJECT, ClassTable
 from ggwarp.objects.sightings import Sightings
 from ggwarp.objects.supervision import ObjectSupervision, SupervisionConfig
+from ggwarp.pipeline.densification import lower_opacities
 from ggwarp.pipeline.depth_guess import DepthGuessConfig, DepthGuesser
 from ggwarp.pipeline.drawing import Drawing, RandomDrawing, WindowDrawing
 from ggwarp.pipeline.exposure import estimate_exposure
@@ -210,6 +211,17 @@ class Mapper:
     def iterate(self) -> None:
         """Fit the map to one keyframe once; on CUDA, queue it: the host reads nothing."""
         self._fitter.iterate()
+        c = self._config.densify
+        if c.reset_interval > 0 and self._fitter.iterations % c.reset_interval == 0:
+            self._lower_opacities(c.reset_opacity)
+
+    def _lower_opacities(self, opacity: float) -> None:
+        """Lower those of the Gaussians that the window, or without one the newest keyframe, does not see."""
+        newest = len(self._fitter.keyframes) - 1
+        window = self._drawing.window if isinstance(self._drawing, WindowDrawing) else [newest]
+        sees = self.covisibility or Covisibility(self.map, self._camera)
+        seen = np.any([sees.look(self.keyframe_pose(number)).seen for number in window], axis=0)
+        lower_opacities(self.map, seen, opacity)
 
     def settle(self) -> float:
         """Wait for the iterations since the last call; return their mean loss, NaN where there were none."""

@@ -78,6 +78,10 @@ class Projector:
                 out.assign(spread.astype(np.float32))
         gradients = {k: wp.zeros_like(a) for k, a in self.arrays.items()}
         self.weights = wp.full(self.n, -1.0, dtype=float, device=self.device)
+        self.pulls = (
+            wp.full(self.n, 0.5, dtype=float, device=self.device),
+            wp.full(self.n, 7, dtype=int, device=self.device),
+        )
         scratch = tuple(wp.empty(k, dtype=vec6, device=self.device) for k in pose_levels(self.n))
         project_adjoint(
             *(self.arrays[k] for k in FIELDS[:5]),
@@ -88,6 +92,7 @@ class Projector:
             slots=slots,
             **{f"d_{k}": g for k, g in gradients.items()},
             weights=self.weights,
+            pulls=self.pulls,
             d_pose_scratch=scratch if pose else (),
         )
         result = {k: g.numpy() for k, g in gradients.items()}
@@ -169,6 +174,7 @@ def test_adjoint_agrees_with_the_oracle(device, rng, spread):
     # Conics of wide splats are small: keep all terms comparable.
     weights[2] *= 500.0
     weights[1] *= [50.0, 50.0, 50.0, 1.0]
+    d_means2d = weights[0]
     actual = projector.adjoint(*weights)
     tau = torch.zeros(6, dtype=torch.float64, requires_grad=True)
     tensors, splats = oracle_of(scene, tau=tau)
@@ -180,6 +186,10 @@ def test_adjoint_agrees_with_the_oracle(device, rng, spread):
     weights = projector.weights.numpy()
     np.testing.assert_allclose(weights[seen[:, 0]], 1.0 + np.flatnonzero(seen), rtol=1e-5)
     assert (weights[~seen[:, 0]] == -1.0).all(), "left as they are"
+    pulls, counts = (array.numpy() for array in projector.pulls)
+    lengths = np.linalg.norm(d_means2d * [0.5 * CAMERA.width, 0.5 * CAMERA.height], axis=1)
+    np.testing.assert_allclose(pulls, 0.5 + np.where(seen[:, 0], lengths, 0.0), rtol=1e-4)
+    np.testing.assert_array_equal(counts, np.where(seen[:, 0], 8, 7))
 
 
 def test_adjoint_agrees_with_finite_differences(device, rng):
