@@ -104,6 +104,9 @@ def main(arguments: list[str] | None = None) -> int:
         help="share of the objects whose id is the next object's from --changed-at on",
     )
     parser.add_argument("--changed-at", type=int, default=0, help="frame at which tracks break for good")
+    parser.add_argument(
+        "--shared", type=float, default=0.0, help="share of the objects with the id of another all along"
+    )
     parser.add_argument("--shuffle-ids", action="store_true", help="draw the ids anew in every frame")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
@@ -118,9 +121,10 @@ def main(arguments: list[str] | None = None) -> int:
         reborn=options.reborn,
         stolen=options.stolen,
         changed_at=options.changed_at,
+        shared=options.shared,
         seed=options.seed,
     )
-    names = ("dots", "missing", "dropped", "swapped", "reborn", "stolen")
+    names = ("dots", "missing", "dropped", "swapped", "reborn", "stolen", "shared")
     shares = {name: getattr(faults, name) for name in names}
     for name, share in shares.items():
         if not 0.0 <= share < 1.0:

@@ -60,6 +60,7 @@ class MaskFaults:
         stolen: share of the objects whose id the next object carries from frame ``changed_at`` on, itself
             a new one: a track that slipped from one object to another for good.
         changed_at: the frame's index.
+        shared: share of the objects that carry the id of another one all along.
         seed: of all the randomness.
     """
 
@@ -73,6 +74,7 @@ class MaskFaults:
     reborn: float = 0.0
     stolen: float = 0.0
     changed_at: int = 0
+    shared: float = 0.0
     seed: int = 0
 
 
@@ -179,6 +181,16 @@ def changed_names(ids: Ids, reborn: float, stolen: float, rng: np.random.Generat
     return names
 
 
+def shared_names(ids: Ids, share: float, rng: np.random.Generator) -> dict[int, int]:
+    """Return the id of another object for about ``share`` of ``ids`` [n]; that one keeps its own."""
+    others = ids[rng.permutation(ids.size)].tolist()
+    names: dict[int, int] = {}
+    for identifier, other, die in zip(ids.tolist(), others, rng.random(ids.size), strict=True):
+        if die < share and other != identifier and other not in names and identifier not in names.values():
+            names[identifier] = other
+    return names
+
+
 def faulty_mask(mask: Ids, faults: MaskFaults, index: int, ids: Ids) -> Ids | None:
     """Return a frame's mask with its faults; None where it goes missing.
 
@@ -194,6 +206,8 @@ def faulty_mask(mask: Ids, faults: MaskFaults, index: int, ids: Ids) -> Ids | No
     if (faults.reborn > 0 or faults.stolen > 0) and index >= faults.changed_at:
         breaks = np.random.default_rng([faults.seed, 4])
         mask = relabelled(mask, changed_names(ids, faults.reborn, faults.stolen, breaks))
+    if faults.shared > 0:
+        mask = relabelled(mask, shared_names(ids, faults.shared, np.random.default_rng([faults.seed, 5])))
     seen = np.unique(mask[mask > 0])
     dice = rng.random((2, seen.size))
     others = np.roll(seen, 1)

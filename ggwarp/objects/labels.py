@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Labels = NDArray[np.int32]
+_EDGE = 0.01  # of the image's width: so near to a mask's border it may be wrong
 _STATISTICS = 50_000  # pixels that are enough to count over
 
 
@@ -32,10 +33,31 @@ def filled(labels: Labels) -> Labels:
     unknown = labels < 0
     if not unknown.any() or unknown.all():
         return labels
+    return np.where(unknown, _nearest(labels, ~unknown)[0], labels)
+
+
+def solid(labels: Labels) -> NDArray[np.bool_]:
+    """Return [h, w] where ``labels`` are neither dots nor strips, such as ragged edges leave.
+
+    That is within a few pixels of one whose surroundings all have its label.
+    """
+    radius = max(2, round(_EDGE * labels.shape[1]))
+    kernel = np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
+    values = labels.astype(np.float32)
+    inner = cv2.erode(values, kernel) == cv2.dilate(values, kernel)
+    if not inner.any():
+        return inner
+    nearest, distances = _nearest(labels, inner)
+    return (nearest == labels) & (distances <= 1.5 * radius)  # corners, too
+
+
+def _nearest(labels: Labels, among: NDArray[np.bool_]) -> tuple[Labels, NDArray[np.float32]]:
+    """Return the label of the nearest of the pixels ``among`` [h, w], at least one, and its distance."""
     distances_and_nearest = cv2.distanceTransformWithLabels(
-        unknown.astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+        (~among).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )
-    nearest = np.asarray(distances_and_nearest[1], np.int32)
+    distances, nearest = (np.asarray(image) for image in distances_and_nearest)
+    nearest = nearest.astype(np.int32)
     table = np.zeros(int(nearest.max()) + 1, np.int32)
-    table[nearest[~unknown]] = labels[~unknown]
-    return np.where(unknown, table[nearest], labels)
+    table[nearest[among]] = labels[among]
+    return table[nearest], distances.astype(np.float32)

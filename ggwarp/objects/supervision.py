@@ -4,8 +4,9 @@
 Masks are taken with a grain of salt. Each of their pixels is a vote for the Gaussian that it shows, and a
 Gaussian's identity is the mean of its votes: dots, ragged borders and swapped ids are outvoted. What the map
 knows by several votes, in turn, is held against the mask: objects under a wrong id are given their own
-back, pixels that contradict the map teach nothing, and objects that turn out to be one are joined. Frames
-that are no keyframes vote, too, and keyframes are looked at again as the map learns what was wrong with them.
+back, pixels that contradict the map teach nothing, objects that turn out to be one are joined, and an id that
+turns out to be two objects is told apart. Frames that are no keyframes vote, too, and keyframes are looked at
+again as the map learns what was wrong with them.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from ggwarp.objects.classifier import Classifier
 from ggwarp.objects.joining import Joining, JoiningConfig
 from ggwarp.objects.labels import Labels, filled
 from ggwarp.objects.matching import MatchingConfig, SegmentMatcher, Understood
+from ggwarp.objects.namesakes import Namesakes, NamesakesConfig
 from ggwarp.objects.registry import IGNORED, NO_OBJECT, ClassTable
 from ggwarp.objects.tentative import View
 from ggwarp.types import Camera, Float64, Frame, Rendered
@@ -60,6 +62,7 @@ class SupervisionConfig:
     revise: int = 1
     """Every so many frames a past keyframe, in turn, is held against what the map knows by now; 0: none."""
     joining: JoiningConfig = field(default_factory=JoiningConfig)
+    namesakes: NamesakesConfig = field(default_factory=NamesakesConfig)
     matching: MatchingConfig = field(default_factory=MatchingConfig)
 
 
@@ -76,6 +79,25 @@ class Lesson:
     labels: Labels
     targets: Labels
     seeds: Labels
+
+
+@dataclass(frozen=True)
+class _Knowledge:
+    """What the map knows where a frame shows its surface, [h, w] each.
+
+    Attributes:
+        seen: the likeliest class; negative: it shows something else.
+        sure: the same where that is probable.
+        evidence: votes behind it.
+    """
+
+    seen: Labels
+    sure: Labels
+    evidence: NDArray[np.uint8]
+
+    def with_evidence(self, votes: int) -> Labels:
+        """Return ``sure`` where so many votes are behind it, else negative."""
+        return np.where(self.evidence >= votes, self.sure, IGNORED)
 
 
 class ObjectSupervision:
@@ -107,6 +129,7 @@ class ObjectSupervision:
         self._matcher = None if tracked else SegmentMatcher(config.matching, classes)
         self._history = LabelHistory()
         self._joining = Joining(config.joining)
+        self._namesakes = Namesakes(config.namesakes, classes)
         self._given: dict[int, NDArray[np.uint8]] = {}
 
     def teach(
@@ -121,29 +144,26 @@ class ObjectSupervision:
             keep: it is a keyframe: keep its labels for :meth:`revise`.
         """
         c = self._config
-        seen = None if rendered is None else self._seen(frame, rendered)
+        T_cw, depth = self._uploaded(frame, T_wc)
+        knows = None if rendered is None else self._look(frame, T_cw, depth, rendered)
         if frame.mask is None:
-            return None if seen is None or c.votes == 0 else _without_mask(seen)
-        mask = self._understood(frame, T_wc, seen)
+            return None if knows is None or c.votes == 0 else _without_mask(knows.seen)
+        view = self._view(frame, T_wc)
+        mask = self._understood(frame.mask, view, knows)
         given = mask.labels
         self._classifier.grow(self._classes.count)
         if c.votes == 0:
             return Lesson(given, given, given)
         if keep and c.revise > 0:
             self._given[frame.index] = _packed(given)
-        if rendered is None or seen is None:
+        if knows is None:
             return Lesson(given, given, filled(given))
-        assert rendered.confidence is not None
-        T_cw, depth = self._uploaded(frame, T_wc)
-        evidence = self._evidence(T_cw, depth)
-        sure = np.where(rendered.confidence >= c.sure, seen, IGNORED)
-        known = np.where(evidence >= c.evidence, sure, IGNORED)
-        wrong = self._history.overruled(known, given, self._classes.count)
-        labels = corrected(known, given, wrong) if wrong else given
+        known = knows.with_evidence(c.evidence)
+        labels = self._put_right(known, given, view)
         self._fuse(T_cw, depth, labels, mask.fresh)
-        self._join(known, mask.segments, frame.index)
-        contradicted = (sure >= 0) & (sure != labels) & (evidence >= c.contradiction)
-        return Lesson(labels, np.where(contradicted, IGNORED, labels), filled(labels))
+        self._merge(known, mask.segments, frame.index)
+        contradicting = knows.with_evidence(c.contradiction)
+        return Lesson(labels, _uncontradicted(labels, contradicting), filled(labels))
 
     def revise(self, frame: Frame, T_wc: Float64, rendered: Rendered) -> Labels | None:
         """Return :attr:`Lesson.targets` of a past keyframe as the map sees it by now; None: it has none.
@@ -156,44 +176,58 @@ class ObjectSupervision:
         packed = self._given.get(frame.index)
         if packed is None:
             return None
-        assert rendered.confidence is not None
-        c = self._config
+        knows = self._look(frame, *self._uploaded(frame, T_wc), rendered)
+        known = knows.with_evidence(self._config.contradiction)
         given = self._classes.joined(_unpacked(packed))
-        believed = (rendered.confidence >= c.sure) & (
-            self._evidence(*self._uploaded(frame, T_wc)) >= c.contradiction
-        )
-        known = np.where(believed, self._seen(frame, rendered), IGNORED)
-        wrong = self._history.overruled(known, given, self._classes.count, anew=False)
-        labels = corrected(known, given, wrong) if wrong else given
-        return np.where((known >= 0) & (known != labels), IGNORED, labels)
+        labels = self._put_right(known, given, self._view(frame, T_wc), anew=False)
+        return _uncontradicted(labels, known)
 
     def _uploaded(self, frame: Frame, T_wc: Float64) -> tuple[wp.array, wp.array]:
         """Return the pose as the kernels want it, and the depth."""
         T_cw = wp.array(lie.inverse(T_wc).astype(np.float32)[None], dtype=wp.mat44, device=self._device)
         return T_cw, wp.array(frame.depth, dtype=float, device=self._device)
 
-    def _understood(self, frame: Frame, T_wc: Float64, seen: Labels | None) -> Understood:
-        assert frame.mask is not None and frame.depth is not None
-        if self._matcher is not None:
-            return self._matcher.match(frame.mask, seen, View(frame.depth, T_wc, self._camera))
-        given = self._classes.encode(frame.mask)
-        return Understood(given, np.where(given == NO_OBJECT, IGNORED, given))
+    def _look(self, frame: Frame, T_cw: wp.array, depth: wp.array, rendered: Rendered) -> _Knowledge:
+        """Return what the map knows of the surface that the frame shows."""
+        assert frame.depth is not None and rendered.classes is not None and rendered.confidence is not None
+        same = np.abs(rendered.median_depth - frame.depth) <= self._config.depth_tolerance * frame.depth
+        shown = same & (frame.depth > 0.0) & (rendered.opacity > 0.5)
+        seen = np.where(shown, self._classes.joined(rendered.classes), IGNORED)
+        sure = np.where(rendered.confidence >= self._config.sure, seen, IGNORED)
+        return _Knowledge(seen, sure, self._evidence(T_cw, depth))
 
-    def _join(self, known: Labels, segments: Labels, index: int) -> None:
+    def _view(self, frame: Frame, T_wc: Float64) -> View:
+        assert frame.depth is not None
+        return View(frame.depth, T_wc, self._camera)
+
+    def _understood(self, mask: Labels, view: View, knows: _Knowledge | None) -> Understood:
+        """Return which object each of the mask's pixels is of."""
+        if self._matcher is not None:
+            return self._matcher.match(mask, None if knows is None else knows.seen, view)
+        given, fresh = self._classes.encode(mask), set[int]()
+        if self._config.votes > 0:
+            unknown = np.full_like(given, IGNORED)
+            known = unknown if knows is None else knows.with_evidence(self._config.evidence)
+            given, fresh = self._namesakes.tell_apart(given, known, view)
+        return Understood(given, np.where(given == NO_OBJECT, IGNORED, given), fresh)
+
+    def _put_right(self, known: Labels, given: Labels, view: View, *, anew: bool = True) -> Labels:
+        """Return the labels of a mask with those replaced that are wrong about an object of the map."""
+        wrong = self._history.overruled(known, given, view, anew=anew)
+        # Of an id's objects the place says which it is.
+        wrong = [pair for pair in wrong if not self._classes.share_an_id(*pair)]
+        return corrected(known, given, wrong) if wrong else given
+
+    def _merge(self, known: Labels, segments: Labels, index: int) -> None:
         """Join the objects that frame ``index`` shows to be one."""
-        for kept, gone in self._joining.see(known, segments, own_names=self._matcher is None):
+        pairs = self._joining.see(known, segments, own_names=self._matcher is None)
+        pairs = [pair for pair in pairs if not self._classes.share_an_id(*pair)]
+        for kept, gone in pairs + self._namesakes.touching():
             ids = self._classes.ids
             log.info("frame %d: objects %d and %d are one", index, ids[kept], ids[gone])
             self._classes.join(kept, gone)
-            self._joining.join(kept, gone)
-            self._history.join(kept, gone)
-
-    def _seen(self, frame: Frame, rendered: Rendered) -> Labels:
-        """Return [h, w] the map's class where it shows the frame's surface, else negative."""
-        assert frame.depth is not None and rendered.classes is not None
-        same = np.abs(rendered.median_depth - frame.depth) <= self._config.depth_tolerance * frame.depth
-        shown = same & (frame.depth > 0.0) & (rendered.opacity > 0.5)
-        return np.where(shown, self._classes.joined(rendered.classes), IGNORED)
+            for record in (self._joining, self._history, self._namesakes):
+                record.join(kept, gone)
 
     def _evidence(self, T_cw: wp.array, depth: wp.array) -> Any:
         """Return [h, w] how many votes are behind what the map shows."""
@@ -229,6 +263,11 @@ class ObjectSupervision:
             votes=self._map.fields["votes"],
             device=self._device,
         )
+
+
+def _uncontradicted(labels: Labels, known: Labels) -> Labels:
+    """Return ``labels`` without those that the map contradicts."""
+    return np.where((known >= 0) & (known != labels), IGNORED, labels)
 
 
 def _packed(labels: Labels) -> NDArray[np.uint8]:

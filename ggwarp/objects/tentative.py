@@ -34,7 +34,13 @@ class View:
         """Return [k, 3] at ``most`` points of the surface at ``pixels`` [h, w], world frame, evenly drawn."""
         rows, columns = np.nonzero(pixels & (self.depth > 0.0))
         chosen = np.linspace(0, len(rows) - 1, min(most, len(rows))).round().astype(int)
-        rows, columns = rows[chosen], columns[chosen]
+        return self._points(rows[chosen], columns[chosen])
+
+    def every_point(self, pixels: NDArray[np.bool_]) -> Float64:
+        """Return [k, 3] the points at those of ``pixels`` [h, w] that have depth, world frame, row by row."""
+        return self._points(*np.nonzero(pixels & (self.depth > 0.0)))
+
+    def _points(self, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Float64:
         c, z = self.camera, self.depth[rows, columns].astype(np.float64)
         p = np.stack([(columns - c.cx) / c.fx * z, (rows - c.cy) / c.fy * z, z], axis=1)
         return p @ self.T_wc[:3, :3].T + self.T_wc[:3, 3]

@@ -281,7 +281,7 @@ class Mapper:
             arrays["means"],
             arrays["colours"],
             object_ids,
-            names=names,
+            names={i: name for i, name in names.items() if i in self.classes.mask_ids},
             sources=self.classes.sources(),
             sightings=self.sightings.renamed(self.classes.ids),
             probabilities=probabilities,

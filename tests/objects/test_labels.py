@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
 
-from ggwarp.objects.labels import contingency, filled, thinned
+from ggwarp.objects.labels import contingency, filled, solid, thinned
 
 
 def test_pairs_of_known_labels_are_counted() -> None:
@@ -24,3 +24,16 @@ def test_large_images_are_counted_on_a_grid() -> None:
     small, large = np.zeros((170, 300)), np.zeros((680, 1200))
     assert small[thinned(*small.shape)].shape == small.shape
     assert 40_000 < large[thinned(*large.shape)].size < 60_000
+
+
+def test_dots_and_strips_are_not_solid() -> None:
+    labels = np.zeros((60, 90), np.int32)
+    labels[:, 40:] = 1
+    labels[20:40, 10:30] = 2
+    labels[:, 60] = labels[5, 5] = labels[50:53, 70:73] = 3
+    out = solid(labels)
+    assert out[20:40, 10:30].all() and out[:, 44:56].all() and out[-1, 0] and out[0, -1]
+    assert not out[labels == 3].any()
+    assert out.mean() > 0.95
+    assert solid(np.full((6, 9), 4, np.int32)).all()
+    assert not solid(np.arange(54, dtype=np.int32).reshape(6, 9)).any()

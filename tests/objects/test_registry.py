@@ -36,9 +36,10 @@ def test_objects_without_an_id_get_the_lowest_free_one() -> None:
     first, second = table.begin(), table.begin()
     assert table.decode(np.array([first, second])).tolist() == [0, 0]
     assert (table.name(second), table.name(second), table.name(first)) == (2, 2, 4)
-    # A mask's id that is taken by now gets another name, and keeps its source.
-    assert table.decode(table.encode(np.array([[2, 4]], np.int32))).tolist() == [[5, 6]]
-    assert table.sources() == {5: (2,), 6: (4,)}
+    # An id that turns out to be the masks' is theirs: what had it is named anew.
+    assert table.decode(table.encode(np.array([[2, 4]], np.int32))).tolist() == [[2, 4]]
+    assert table.decode(np.array([first, second])).tolist() == [6, 5]
+    assert table.sources() == {}
     assert table.name(0) == 0
 
 

@@ -177,3 +177,30 @@ def test_an_object_revived_under_another_id_stays_one(device: str, frame: Frame)
     assert 777 not in view.objects and 777 not in mapper.export().object_ids
     record = next(r for r in mapper.objects({}) if r.id == first)
     assert record.source_ids == (first, 777)
+
+
+@pytest.mark.parametrize("sightings", [0, 3])
+def test_an_id_given_to_two_objects_far_apart_is_told_apart(sightings: int, device: str) -> None:
+    frames = [OFFICE[0], OFFICE[len(OFFICE) // 2]]
+    ids = [set(largest(f.mask)) for f in frames]
+    one = next(i for i in largest(frames[0].mask) if i not in frames[1].mask)
+    other = next(i for i in largest(frames[1].mask) if i not in frames[0].mask)
+    assert one in ids[0] and other in ids[1]
+    frames[1] = dataclasses.replace(frames[1], mask=renamed(frames[1].mask, other, one))
+    supervision = SupervisionConfig()
+    namesakes = dataclasses.replace(supervision.namesakes, sightings=sightings)
+    config = MapperConfig(supervision=dataclasses.replace(supervision, namesakes=namesakes))
+    mapper = Mapper(config, OFFICE.camera, device=device, use_identity=True)
+    for frame in 4 * frames:
+        assert frame.T_wc is not None
+        mapper.insert(frame, frame.T_wc)
+        for _ in range(8):
+            mapper.iterate()
+    views = [mapper.render(f.T_wc).objects[f.mask == one] for f in frames]
+    names = [int(np.bincount(v).argmax()) for v in views]
+    assert names[0] == one and (names[1] != one) == bool(sightings)
+    assert all((v == name).mean() > 0.8 for v, name in zip(views, names, strict=True))
+    records = {r.id: r for r in mapper.objects({one: "one", other: "other", names[1]: "same"})}
+    if sightings:
+        assert records[names[1]].source_ids == (one,)
+        assert records[names[1]].class_name is None, "the data's name of that number is another object's"

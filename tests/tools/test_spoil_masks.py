@@ -8,7 +8,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from ggwarp.datasets.faults import MaskFaults, changed_names, faulty_mask
+from ggwarp.datasets.faults import MaskFaults, changed_names, faulty_mask, shared_names
 from ggwarp.datasets.masks import read_mask, write_mask
 
 
@@ -80,3 +80,19 @@ def test_says_what_is_wrong(tool: ModuleType, clean: Path, tmp_path: Path, capsy
     assert "no such sequence" in capsys.readouterr().err
     with pytest.raises(SystemExit):
         tool.main([str(clean), str(tmp_path / "out"), "--dots", "5"])
+
+
+def test_shared_ids_are_another_object_s_in_every_frame(rng: np.random.Generator) -> None:
+    ids = np.array([3, 7, 20, 21, 300], np.int32)
+    for seed in range(50):
+        names = shared_names(ids, 0.5, np.random.default_rng(seed))
+        assert not set(names) & set(names.values()) and set(names.values()) <= set(ids.tolist())
+    assert shared_names(ids, 0.0, rng) == {}
+    assert shared_names(ids[:1], 0.9, rng) == {}
+    mask = rng.choice(ids, (20, 30)).astype(np.int32)
+    names = shared_names(ids, 0.5, np.random.default_rng([4, 5]))
+    assert names
+    for index in (0, 9):
+        out = faulty_mask(mask, MaskFaults(shared=0.5, seed=4), index, ids)
+        for old in ids.tolist():
+            assert (out[mask == old] == names.get(old, old)).all()
