@@ -196,7 +196,12 @@ def _fast(config: RunConfig) -> RunConfig:
 def _monogs(config: RunConfig) -> RunConfig:
     """Tracking by rendering, a covisible window fitted with its poses: 150 iterations in six frames."""
     mapper = dataclasses.replace(
-        config.mapper, iterations=25, bootstrap=150, pose_rates=(1e-3, 1e-3), isotropic_weight=2.0
+        config.mapper,
+        iterations=25,
+        bootstrap=150,
+        pose_rates=(1e-3, 1e-3),
+        isotropic_weight=2.0,
+        rate_decay=0.0,
     )
     return dataclasses.replace(config, tracker="photometric", use_identity=False, mapper=mapper)
 

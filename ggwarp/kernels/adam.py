@@ -4,7 +4,8 @@
 A Gaussian's 14 geometry and colour parameters share one vec16 per moment, its identity another:
 lanes 0-2 mean, 3-6 quaternion, 7-9 log scale, 10 opacity logit, 11-13 colour. Each Gaussian counts
 its own steps: a Gaussian that appears late, or is seen seldom, then has its moments corrected for
-*its* history, and its first step is as long as its learning rate, not 3.2 times that.
+*its* history, and its first step is as long as its learning rate, not 3.2 times that. Its rates can
+fall with its steps, so that one fitted for long settles between views that disagree.
 """
 
 import math
@@ -106,6 +107,7 @@ def _step(m: vec16, v: vec16, rates: vec16, t: float) -> vec16:
 def _gaussians_kernel(
     offset: int,
     with_identity: int,
+    slowing: float,
     ranks: wp.array[wp.int32],
     rates: wp.array[vec16],
     d_means: wp.array[wp.vec3],
@@ -147,12 +149,13 @@ def _gaussians_kernel(
     step = steps[i] + 1
     steps[i] = step
     t = float(step)
+    slower = 1.0 / wp.sqrt(1.0 + slowing * (t - 1.0))
 
     m = BETA1 * first[i] + (1.0 - BETA1) * g
     v = BETA2 * second[i] + (1.0 - BETA2) * wp.cw_mul(g, g)
     first[i] = m
     second[i] = v
-    d = _step(m, v, rates[0], t)
+    d = _step(m, v, rates[0] * slower, t)
     means[i] -= wp.vec3(d[0], d[1], d[2])
     quats[i] = wp.normalize(quats[i] - wp.vec4(d[3], d[4], d[5], d[6]))
     log_scales[i] -= wp.vec3(d[7], d[8], d[9])
@@ -206,6 +209,7 @@ def adam_gaussians(
     rates: Any,
     ranks: Any,
     device: Any,
+    decay: float = 0.0,
 ) -> None:
     """Take one Adam step (eps 1e-15) for each visible Gaussian, in place; quaternions end unit.
 
@@ -220,6 +224,8 @@ def adam_gaussians(
         ranks: [n] int, negative where a Gaussian is not visible; see
             :attr:`ggwarp.kernels.tiles.TileArrays.ranks`.
         device: a Warp device.
+        decay: a Gaussian's rates fall by 1 / sqrt(1 + t / decay), t being its earlier steps; 0: they stay.
+            Its identity's stay: they learn names, which views tell alike.
     """
     p, g, s = parameters, gradients, state
     with_identity = p.identities is not None and g.identities is not None
@@ -231,7 +237,7 @@ def adam_gaussians(
         _gaussians_kernel,
         ranks.shape[0],
         inputs=[
-            *(int(with_identity), ranks, rates),
+            *(int(with_identity), 1.0 / decay if decay > 0.0 else 0.0, ranks, rates),
             *(g.means, g.quats, g.log_scales, g.opacity_logits, g.colours, d_identities),
         ],
         outputs=[

@@ -49,6 +49,9 @@ class FitConfig:
     rates: AdamRates = _RATES
     """Adam's learning rates: larger than GS-ICP-SLAM's, as each Gaussian gets tens of steps here, not
     thousands."""
+    rate_decay: float = 100.0
+    """A Gaussian's rates fall by 1 / sqrt(1 + t / this) over its steps t, so that it settles between views
+    that disagree a little, as a real camera's do; 0: rates stay, as they must where poses still move."""
     pose_rates: tuple[float, float] = (0.0, 0.0)
     """Adam's learning rates of the keyframes' poses, metres and radians; 0: poses stay as tracked."""
     exposure_rate: float = 0.0
@@ -232,6 +235,7 @@ class Fitter:
             rates=self._rates,
             ranks=self._renderer.ranks,
             device=self._device,
+            decay=self._config.rate_decay,
         )
         if self._classifier is not None:
             self._classifier.step()

@@ -44,7 +44,7 @@ def zero_state(n, device, identities=True):
     return adam.AdamState(moments[0], moments[1], steps, *(moments[2:] if identities else ()))
 
 
-def step(parameters, gradients, state, visible, n, device, order=None):
+def step(parameters, gradients, state, visible, n, device, order=None, decay=0.0):
     order = np.arange(n) if order is None else order
     ranks = np.full(n, -1, np.int32)
     ranks[order[:visible]] = np.arange(visible)
@@ -56,6 +56,7 @@ def step(parameters, gradients, state, visible, n, device, order=None):
         rates=rates,
         ranks=wp.array(ranks, dtype=int, device=device),
         device=device,
+        decay=decay,
     )
 
 
@@ -65,7 +66,11 @@ def download(parameters):
     }
 
 
-def test_equals_torch_adam(rng, device):
+@pytest.mark.parametrize("decay", [0.0, 3.0])
+def test_equals_torch_adam(rng, device, decay):
+    def slower(t):
+        return (1.0 + t / decay) ** -0.5
+
     n = 40
     start = random_values(rng, n)
     start["quats"] /= np.linalg.norm(start["quats"], axis=1, keepdims=True)
@@ -74,12 +79,15 @@ def test_equals_torch_adam(rng, device):
     optimiser = torch.optim.Adam(
         [{"params": [tensors[name]], "lr": RATE_OF[name]} for name in FIELDS], eps=1e-15
     )
+    slowing = [(lambda t: 1.0) if name == "identities" or not decay else slower for name in FIELDS]
+    schedule = torch.optim.lr_scheduler.LambdaLR(optimiser, slowing)
     for _ in range(5):
         gradients = random_values(rng, n)
-        step(parameters, upload(gradients, device), state, n, n, device)
+        step(parameters, upload(gradients, device), state, n, n, device, decay=decay)
         for name, tensor in tensors.items():
             tensor.grad = torch.tensor(gradients[name].astype(np.float64))
         optimiser.step()
+        schedule.step()
         with torch.no_grad():
             tensors["quats"] /= tensors["quats"].norm(dim=1, keepdim=True)
     for name, got in download(parameters).items():
