@@ -19,7 +19,7 @@ import tyro
 from rich.console import Console
 
 from benchmarking import kernels, plots, scaling, sweep, system, tracking
-from benchmarking.options import BenchmarkError
+from benchmarking.options import BenchmarkError, check_out
 from benchmarking.record import Record, write_record
 from benchmarking.tables import show
 from ggwarp.config import ConfigError
@@ -49,6 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     run = next(run for kind, run in SUBCOMMANDS.values() if type(options) is kind)
     loading.init_quietly()
     try:
+        check_out(options.out)
         record = run(options)
         path = options.out or default_path(record)
         write_record(path, record)

@@ -9,6 +9,7 @@ import pytest
 
 import benchmark
 from benchmarking import sweep, system
+from benchmarking.options import check_out, new_record
 from benchmarking.runs import SYNCHRONOUS, Outcome, RunSpec, accepts, execute
 from benchmarking.timed_run import Clock
 from ggwarp.run import parse
@@ -138,3 +139,13 @@ def test_a_mistake_ends_in_one_line(capsys: pytest.CaptureFixture[str]):
     assert benchmark.main(["tracking", "--device", "cuda:77"]) == 2
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 2 and all(line.startswith("benchmark: --") for line in lines)
+
+
+def test_a_record_s_place_is_looked_at_first(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    (tmp_path / "file").touch()
+    for path, said in ((tmp_path, "is a folder"), (tmp_path / "file" / "a.json", "lies in a file")):
+        assert benchmark.main(["system", "--out", str(path)]) == 2
+        assert said in capsys.readouterr().err
+    check_out(tmp_path / "new" / "a.json")
+    record = new_record("system", system.SystemOptions(out=tmp_path / "a.json", data=tmp_path))
+    assert str(tmp_path) not in str(record.settings)

@@ -36,7 +36,8 @@ class Common:
 def new_record(benchmark: str, options: Common) -> Record:
     """Return a record without results, of the device that ``options`` mean."""
     settings = settings_of(options)
-    del settings["out"]
+    for place in ("out", "data"):  # of this machine alone
+        settings.pop(place, None)
     record = Record(benchmark, describe(device_name(options.device)), settings)
     load = record.machine["load"]
     if load is not None and load > _BUSY * cores():
@@ -44,6 +45,20 @@ def new_record(benchmark: str, options: Common) -> Record:
             f"other processes ran beside (load {load:.1f} on {cores()} cores): not a result to keep"
         )
     return record
+
+
+def check_out(path: Path | None) -> None:
+    """Refuse a record's place that cannot be written to.
+
+    Raises:
+        BenchmarkError: it is a folder, or lies in what is none.
+    """
+    if path is None:
+        return
+    if path.is_dir():
+        raise BenchmarkError(f"--out {path}: is a folder; name a JSON file, such as {path / 'record.json'}")
+    if any(parent.exists() and not parent.is_dir() for parent in path.parents):
+        raise BenchmarkError(f"--out {path}: lies in a file; name a JSON file in a folder")
 
 
 def thread_count(wanted: int | None) -> int:
