@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggwarp.objects.cells import cell_numbers
-from ggwarp.objects.labels import Labels, contingency, thinned
+from ggwarp.objects.labels import Labels, contingency, ranked, thinned
 from ggwarp.objects.tentative import View
 
 _CELL = 0.25  # metres
@@ -98,7 +98,7 @@ class _Places:
 
 def _places(cells: NDArray[np.int64], objects: Labels, labels: Labels) -> _Places:
     """Sort pixels, [n] each, by place."""
-    numbers, ranks = np.unique(cells, return_inverse=True)
+    numbers, ranks = ranked(cells)
     size = int(max(objects.max(initial=0), labels.max(initial=0))) + 1
     keys, counts = np.unique((ranks * size + objects) * size + labels, return_counts=True)
     pairs, of_pair = np.unique(keys // size, return_inverse=True)

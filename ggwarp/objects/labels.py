@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +28,15 @@ def contingency(rows: Labels, columns: Labels, classes: int) -> NDArray[np.int64
     both = (rows >= 0) & (columns >= 0)
     pairs = rows[both].astype(np.int64) * classes + columns[both]
     return np.bincount(pairs, minlength=classes * classes).reshape(classes, classes)
+
+
+def ranked(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.intp]]:
+    """Return [k] the distinct of integer ``values`` (any shape), rising, and the place of each value in them.
+
+    As ``numpy.unique`` does that returns the inverse, several times as fast where they are few.
+    """
+    distinct = np.unique(values)
+    return distinct, np.searchsorted(distinct, values)
 
 
 def filled(labels: Labels) -> Labels:

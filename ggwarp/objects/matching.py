@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ggwarp.objects.labels import Labels, contingency, thinned
+from ggwarp.objects.labels import Labels, contingency, ranked, thinned
 from ggwarp.objects.registry import IGNORED, NO_OBJECT, ClassTable
 from ggwarp.objects.tentative import Candidates, View
 
@@ -121,9 +121,9 @@ class SegmentMatcher:
             known: [h, w] class that the map shows there, negative: none; None while the map is empty.
             view: where the pixels are.
         """
-        ids, inverse = np.unique(mask, return_inverse=True)
+        ids, ranks = ranked(mask)
         numbers = np.where(ids > 0, np.cumsum(ids > 0) - 1, IGNORED).astype(np.int32)
-        segments = numbers[inverse].reshape(mask.shape)
+        segments = numbers[ranks]
         if known is None:
             known = np.full_like(mask, IGNORED)
         matching = match_segments(segments, known, self._classes.count, self._config)

@@ -64,6 +64,8 @@ class _Part:
 
     def gap(self, other: _Part) -> float:
         """Return the distance between the two, metres."""
+        if np.intersect1d(self.cells, other.cells, assume_unique=True).size:
+            return 0.0  # as nearly always, and a hundred times as fast
         return float(self.distances(cell_middles(other.cells, _CELL)).min())
 
     def take(self, other: _Part) -> None:

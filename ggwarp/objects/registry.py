@@ -12,6 +12,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ggwarp.objects.labels import ranked
+
 NO_OBJECT = 0
 """The masks' id, and the class, of pixels that belong to no object."""
 
@@ -48,9 +50,9 @@ class ClassTable:
 
         Negative ids become :data:`IGNORED`.
         """
-        present, inverse = np.unique(mask, return_inverse=True)
+        present, ranks = ranked(mask)
         classes = [IGNORED if raw < 0 else self._class_of(raw) for raw in present.tolist()]
-        return self.joined(np.array(classes, np.int32))[inverse].reshape(mask.shape)
+        return self.joined(np.array(classes, np.int32))[ranks]
 
     def decode(self, classes: NDArray[np.int32]) -> NDArray[np.int32]:
         """Return the ids of ``classes`` (any shape); ignored or unknown ones become 0."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
 
-from ggwarp.objects.labels import contingency, filled, solid, thinned
+from ggwarp.objects.labels import contingency, filled, ranked, solid, thinned
 
 
 def test_pairs_of_known_labels_are_counted() -> None:
@@ -37,3 +37,10 @@ def test_dots_and_strips_are_not_solid() -> None:
     assert out.mean() > 0.95
     assert solid(np.full((6, 9), 4, np.int32)).all()
     assert not solid(np.arange(54, dtype=np.int32).reshape(6, 9)).any()
+
+
+def test_values_are_ranked_as_numpy_does(rng: np.random.Generator) -> None:
+    for shape in ((7, 5), (0,), (3, 0)):
+        values = rng.integers(-3, 4, shape) * 10**12
+        distinct, ranks = ranked(values)
+        assert np.array_equal(distinct, np.unique(values)) and np.array_equal(distinct[ranks], values)
