@@ -61,17 +61,26 @@ def main_parts(points: NDArray[np.floating]) -> NDArray[np.bool_]:
     """
     if len(points) < 4:
         return np.ones(len(points), bool)
-    from scipy.sparse import coo_matrix  # heavy, and only needed once a map is described
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import KDTree
+    from scipy.spatial import KDTree  # heavy, and only needed once a map is described
 
     tree: Any = KDTree(points)
     nearest = tree.query(points, k=2)[0][:, 1]
-    pairs = tree.query_pairs(max(_LINK * float(np.median(nearest)), 1e-6), output_type="ndarray")
-    links = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(points),) * 2)
-    parts = connected_components(links, directed=False)[1]
+    parts = linked_parts(tree, max(_LINK * float(np.median(nearest)), 1e-6))
     sizes = np.bincount(parts)
     return (sizes >= min(max(_LEAST_PART * len(points), 3), sizes.max()))[parts]
+
+
+def linked_parts(tree: Any, link: float) -> NDArray[np.int32]:
+    """Return [n] the part, from 0 on, of each point of a ``scipy.spatial.KDTree``.
+
+    Points within ``link`` of each other are of one part.
+    """
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    pairs = tree.query_pairs(link, output_type="ndarray")
+    links = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(tree.n, tree.n))
+    return np.asarray(connected_components(links, directed=False)[1], np.int32)
 
 
 def axis_aligned_box(points: NDArray[np.floating]) -> Box:

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ggwarp.objects.boxes import linked_parts
 from ggwarp.objects.cells import cell_middles, cell_numbers
 from ggwarp.objects.labels import Labels, solid, thinned
 from ggwarp.objects.registry import IGNORED, ClassTable
@@ -82,12 +83,12 @@ class Namesakes:
         self._classes = classes
         self._parts: dict[int, list[_Part]] = {}
 
-    def tell_apart(self, given: Labels, known: Labels, view: View) -> tuple[Labels, set[int]]:
+    def tell_apart(self, given: Labels, known: Labels | None, view: View) -> tuple[Labels, set[int]]:
         """Take in a frame; return its labels with namesakes told apart, and the newest of these.
 
         Args:
             given: [h, w] class of the mask's id; negative: none.
-            known: [h, w] class that the map shows there for sure, else negative.
+            known: [h, w] class that the map shows there for sure, else negative; None while the map is empty.
             view: where the pixels are.
         """
         if self._config.sightings == 0:
@@ -101,7 +102,8 @@ class Namesakes:
                 continue
             out = out.copy() if out is given else out
             pixels = given == label
-            near = np.argmin([p.distances(view.every_point(pixels)) for p in objects], axis=0)
+            points = view.every_point(pixels)
+            near = np.argmin([p.distances(points) for p in objects], axis=0)
             out[pixels] = IGNORED  # where there is no depth
             out[pixels & (view.depth > 0.0)] = np.array([p.index for p in objects], np.int32)[near]
             fresh |= {p.index for p in objects if p.index != label and p.views <= 2 * self._config.sightings}
@@ -130,12 +132,13 @@ class Namesakes:
             own[0].take(other)
         self._parts[kept] = own[:1] + [p for p in (*mine, *parts) if p.index != kept]
 
-    def _seen_parts(self, given: Labels, known: Labels, view: View) -> Iterator[tuple[int, _Part]]:
+    def _seen_parts(self, given: Labels, known: Labels | None, view: View) -> Iterator[tuple[int, _Part]]:
         """Yield (class, part) for what the frame shows of each id, and part by part if need be."""
         grid = thinned(*given.shape)
-        agreed = (known < 0) | (self._classes.namesake_of(known) == given)
         pixels = np.zeros(given.shape, bool)
-        pixels[grid] = solid(given[grid]) & agreed[grid] & (given[grid] > 0) & (view.depth[grid] > 0.0)
+        pixels[grid] = solid(given[grid]) & (given[grid] > 0) & (view.depth[grid] > 0.0)
+        if known is not None:
+            pixels &= (known < 0) | (self._classes.namesake_of(known) == given)
         least = self._config.least_area * given[grid].size
         labels = given[pixels]
         cells = cell_numbers(view.every_point(pixels), _CELL)
@@ -186,11 +189,5 @@ def _tree(points: Float64) -> Any:
 
 def _clusters(points: Float64, link: float) -> list[NDArray[np.intp]]:
     """Return the members of each part of ``points`` [k, 3] whose points are within ``link`` of another."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    pairs = _tree(points).query_pairs(link, output_type="ndarray")
-    size = len(points), len(points)
-    links = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=size)
-    count, parts = connected_components(links, directed=False)
-    return [np.nonzero(parts == i)[0] for i in range(count)]
+    parts = linked_parts(_tree(points), link)
+    return [np.nonzero(parts == i)[0] for i in range(parts.max() + 1)]

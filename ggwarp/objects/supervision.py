@@ -144,21 +144,21 @@ class ObjectSupervision:
             keep: it is a keyframe: keep its labels for :meth:`revise`.
         """
         c = self._config
+        if frame.mask is None:
+            return None if rendered is None or c.votes == 0 else _without_mask(self._seen(frame, rendered))
         T_cw, depth = self._uploaded(frame, T_wc)
         knows = None if rendered is None else self._look(frame, T_cw, depth, rendered)
-        if frame.mask is None:
-            return None if knows is None or c.votes == 0 else _without_mask(knows.seen)
+        known = None if knows is None else knows.with_evidence(c.evidence)
         view = self._view(frame, T_wc)
-        mask = self._understood(frame.mask, view, knows)
+        mask = self._understood(frame.mask, view, None if knows is None else knows.seen, known)
         given = mask.labels
         self._classifier.grow(self._classes.count)
         if c.votes == 0:
             return Lesson(given, given, given)
         if keep and c.revise > 0:
             self._given[frame.index] = _packed(given)
-        if knows is None:
+        if knows is None or known is None:
             return Lesson(given, given, filled(given))
-        known = knows.with_evidence(c.evidence)
         labels = self._put_right(known, given, view)
         self._fuse(T_cw, depth, labels, mask.fresh)
         self._merge(known, mask.segments, frame.index)
@@ -189,25 +189,28 @@ class ObjectSupervision:
 
     def _look(self, frame: Frame, T_cw: wp.array, depth: wp.array, rendered: Rendered) -> _Knowledge:
         """Return what the map knows of the surface that the frame shows."""
-        assert frame.depth is not None and rendered.classes is not None and rendered.confidence is not None
-        same = np.abs(rendered.median_depth - frame.depth) <= self._config.depth_tolerance * frame.depth
-        shown = same & (frame.depth > 0.0) & (rendered.opacity > 0.5)
-        seen = np.where(shown, self._classes.joined(rendered.classes), IGNORED)
+        assert rendered.confidence is not None
+        seen = self._seen(frame, rendered)
         sure = np.where(rendered.confidence >= self._config.sure, seen, IGNORED)
         return _Knowledge(seen, sure, self._evidence(T_cw, depth))
+
+    def _seen(self, frame: Frame, rendered: Rendered) -> Labels:
+        """Return [h, w] the map's class where it shows the frame's surface, else negative."""
+        assert frame.depth is not None and rendered.classes is not None
+        same = np.abs(rendered.median_depth - frame.depth) <= self._config.depth_tolerance * frame.depth
+        shown = same & (frame.depth > 0.0) & (rendered.opacity > 0.5)
+        return np.where(shown, self._classes.joined(rendered.classes), IGNORED)
 
     def _view(self, frame: Frame, T_wc: Float64) -> View:
         assert frame.depth is not None
         return View(frame.depth, T_wc, self._camera)
 
-    def _understood(self, mask: Labels, view: View, knows: _Knowledge | None) -> Understood:
-        """Return which object each of the mask's pixels is of."""
+    def _understood(self, mask: Labels, view: View, seen: Labels | None, known: Labels | None) -> Understood:
+        """Return which object each of the mask's pixels is of; ``seen``, ``known``: None without a map."""
         if self._matcher is not None:
-            return self._matcher.match(mask, None if knows is None else knows.seen, view)
+            return self._matcher.match(mask, seen, view)
         given, fresh = self._classes.encode(mask), set[int]()
         if self._config.votes > 0:
-            unknown = np.full_like(given, IGNORED)
-            known = unknown if knows is None else knows.with_evidence(self._config.evidence)
             given, fresh = self._namesakes.tell_apart(given, known, view)
         return Understood(given, np.where(given == NO_OBJECT, IGNORED, given), fresh)
 

@@ -277,11 +277,12 @@ class Mapper:
         """Describe the map's objects; ``names`` are their classes by id, where known."""
         object_ids, probabilities = self._belongings()
         arrays = self.map.to_host()
+        mask_ids = self.classes.mask_ids  # the names are of these: ids made up here may be others' numbers
         return inventory(
             arrays["means"],
             arrays["colours"],
             object_ids,
-            names={i: name for i, name in names.items() if i in self.classes.mask_ids},
+            names={i: name for i, name in names.items() if i in mask_ids},
             sources=self.classes.sources(),
             sightings=self.sightings.renamed(self.classes.ids),
             probabilities=probabilities,
