@@ -139,6 +139,10 @@ def init_quietly() -> None:
             os.close(kept)
         said.seek(0)
         lines = said.read().decode(errors="replace").splitlines()
+    for device in wp.get_cuda_devices():
+        if wp.is_mempool_enabled(device):
+            # Else every wait gives unused memory back to the driver, and the next frame asks for it again.
+            wp.set_mempool_release_threshold(device, 0.5)
     for line in lines:
         if "Could not find or load the NVIDIA CUDA driver" not in line:
             print(line, file=sys.stderr)

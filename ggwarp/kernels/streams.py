@@ -36,6 +36,8 @@ def _wait_for(event: Any) -> None:
     """
     runtime = event.device.runtime
     with stepped_out():
+        # Outside its lane a thread of ours has no CUDA context, which the driver's call asks for.
+        event.device.make_current()
         done = runtime.core.wp_cuda_event_synchronize(event.cuda_event)
     if not done:
         raise RuntimeError(f"{event.device}: {runtime.get_error_string()}")
