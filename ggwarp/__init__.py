@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from ggwarp.config import RunConfig
     from ggwarp.datasets import FrameReader, SyntheticOffice, open_dataset
+    from ggwarp.geometry.camera import Camera
     from ggwarp.pipeline.slam import Slam, SlamConfig
-    from ggwarp.types import Camera, Frame, Rendered, StepReport, TrackResult, Verdict
+    from ggwarp.types import Frame, Rendered, StepReport, TrackResult, Verdict
 
 __version__ = "0.1.0"
 
@@ -32,13 +33,14 @@ __all__ = [
 
 # Each is imported when first asked for, so that `import ggwarp` costs nothing.
 _HOMES = {
+    "Camera": "ggwarp.geometry.camera",
     "RunConfig": "ggwarp.config",
     "FrameReader": "ggwarp.datasets",
     "SyntheticOffice": "ggwarp.datasets",
     "open_dataset": "ggwarp.datasets",
     "Slam": "ggwarp.pipeline.slam",
     "SlamConfig": "ggwarp.pipeline.slam",
-    **dict.fromkeys(["Camera", "Frame", "Rendered", "StepReport", "TrackResult", "Verdict"], "ggwarp.types"),
+    **dict.fromkeys(["Frame", "Rendered", "StepReport", "TrackResult", "Verdict"], "ggwarp.types"),
 }
 
 

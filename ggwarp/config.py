@@ -16,19 +16,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from ggwarp.datasets.faults import SensorFaults
+from ggwarp.datasets.built_in.faults import SensorFaults
+from ggwarp.geometry.camera import Camera
 from ggwarp.io.toml import TomlError, merged, read_toml
-from ggwarp.pipeline.hybrid import HybridConfig
-from ggwarp.pipeline.keyframes import KeyframeConfig
-from ggwarp.pipeline.mapper import MapperConfig
-from ggwarp.pipeline.mono_start import MonoStartConfig
-from ggwarp.pipeline.photometric import PhotometricConfig
+from ggwarp.pipeline.mapping.keyframe_window import WindowConfig
+from ggwarp.pipeline.mapping.mapper import MapperConfig
 from ggwarp.pipeline.slam import KeyframePolicyKind, SlamConfig
-from ggwarp.pipeline.trackable import TrackableConfig
-from ggwarp.pipeline.tracker import TrackerConfig
-from ggwarp.pipeline.trackers import TrackerKind
-from ggwarp.pipeline.window import WindowConfig
-from ggwarp.types import Camera
+from ggwarp.pipeline.tracking.gicp import TrackerConfig
+from ggwarp.pipeline.tracking.hybrid import HybridConfig
+from ggwarp.pipeline.tracking.initialisation import MonoStartConfig
+from ggwarp.pipeline.tracking.keyframe_policy import CovisibilityConfig, KeyframeConfig
+from ggwarp.pipeline.tracking.photometric import PhotometricConfig
+from ggwarp.pipeline.tracking.point_map import TrackableConfig
+from ggwarp.pipeline.tracking.tracker import TrackerKind
 
 Preset = Literal["gg-slam", "gs-icp", "monogs", "fast", "quality"]
 MasksKind = Literal["tracked", "untracked"]
@@ -118,6 +118,7 @@ class RunConfig:
     """Keyframes are chosen by overlap with the trackable points (GG-SLAM), or by covisibility, and kept in
     a window that is fitted together (MonoGS); auto: by covisibility where --tracker photometric keeps no
     points."""
+    covisibility: CovisibilityConfig = field(default_factory=CovisibilityConfig)
     window: WindowConfig = field(default_factory=WindowConfig)
 
     def slam(self) -> SlamConfig:
@@ -131,6 +132,7 @@ class RunConfig:
             trackable=self.trackable,
             mapper=self.mapper,
             policy=self._policy(),
+            covisibility=self.covisibility,
             window=self.window,
             monocular=self.mono,
             mono_start=self.mono_start,

@@ -7,7 +7,7 @@ import dataclasses
 from typing import Any
 
 from ggwarp.config import RunConfig
-from ggwarp.pipeline.mapper import MapperConfig
+from ggwarp.pipeline.mapping.mapper import MapperConfig
 
 
 def monocular(config: RunConfig) -> RunConfig:

@@ -32,11 +32,11 @@ from ggwarp.console import Display, open_display
 from ggwarp.datasets import BUILT_IN, Dataset, DatasetError, FrameReader, WithoutDepth, open_dataset
 from ggwarp.io.camera import write_camera
 from ggwarp.io.toml import write_toml
-from ggwarp.kernels import loading
 from ggwarp.monocular import monocular
-from ggwarp.pipeline import report
 from ggwarp.pipeline.scheduler import LiveScheduler, Scheduler, UncappedScheduler
 from ggwarp.pipeline.slam import Slam
+from ggwarp.results import run_folder
+from ggwarp.runtime import loading
 from ggwarp.session import Interruption, evaluate, load_kernels, refine, save, track_and_map
 
 FAILED = 1
@@ -194,7 +194,7 @@ def execute(config: RunConfig, display: Display, interruption: Interruption, sta
     every = max(1, -(-len(indices) // 10)) if config.save_renders is None else config.save_renders
     config = dataclasses.replace(config, device=device, scale=scale, save_renders=every)
     name = seq if dataset.kind == "synthetic" else dataset.name
-    folder = report.create_run_folder(config.out, name)
+    folder = run_folder.create_run_folder(config.out, name)
     write_toml(dataclasses.replace(config, out=None), folder / "config.toml")
     _introduce(config, dataset, len(indices), display)
 
@@ -209,7 +209,7 @@ def execute(config: RunConfig, display: Display, interruption: Interruption, sta
     load_kernels(device, display)
     # The objects of untracked masks are numbered by the map.
     names = getattr(dataset, "class_names", {}) if config.tracked_masks else {}
-    record = report.RunRecord(name, dataset.kind, device, class_names=names, monocular=config.mono)
+    record = run_folder.RunRecord(name, dataset.kind, device, class_names=names, monocular=config.mono)
     with reader:
         kept = track_and_map(slam, reader, record, display, interruption, beside=beside)
     if not record.reports and record.failure is None:
@@ -274,7 +274,7 @@ def _introduce(config: RunConfig, dataset: Dataset, frames: int, display: Displa
     if dataset.kind == "synthetic" and config.seq not in BUILT_IN:
         display.note(
             f"{config.seq} is not under {config.data_root()}: using the built-in synthetic office instead "
-            f"(the real one: python tools/download.py replica {config.seq})"
+            f"(the real one: ggwarp download replica {config.seq})"
         )
     size, native = dataset.camera.scaled(config.scale or 1.0), dataset.camera
     display.note(

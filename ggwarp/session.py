@@ -17,11 +17,11 @@ from ggwarp.datasets import BadFrame, FrameReader
 from ggwarp.evaluation.evaluate import FrameScore
 from ggwarp.evaluation.evaluate import evaluate as compare
 from ggwarp.evaluation.image import open_lpips
-from ggwarp.kernels import loading
-from ggwarp.pipeline import report
-from ggwarp.pipeline.renders import RenderWriter
+from ggwarp.pipeline.runner import SideError, run_steps
 from ggwarp.pipeline.slam import Slam
-from ggwarp.pipeline.steps import SideError, run_steps
+from ggwarp.results import run_folder
+from ggwarp.results.renders import RenderWriter
+from ggwarp.runtime import loading
 from ggwarp.types import Frame, Rendered, StepReport, Verdict
 
 _KEPT_BYTES = 1 << 29  # frames held for the evaluation instead of being read again
@@ -63,7 +63,7 @@ def load_kernels(device: str, display: Display) -> None:
 def track_and_map(
     slam: Slam,
     reader: FrameReader,
-    record: report.RunRecord,
+    record: run_folder.RunRecord,
     display: Display,
     interruption: Interruption,
     *,
@@ -109,7 +109,7 @@ def track_and_map(
     return kept
 
 
-def _skip(frame: BadFrame, record: report.RunRecord, display: Display) -> None:
+def _skip(frame: BadFrame, record: run_folder.RunRecord, display: Display) -> None:
     record.skipped[frame.index] = frame.reason
     display.advance(f"frame {frame.index} skipped")
     display.warn(f"frame {frame.index} skipped: {frame.reason}")
@@ -124,7 +124,7 @@ def _status(step: StepReport, fps: float) -> str:
 
 
 def refine(
-    slam: Slam, iterations: int, record: report.RunRecord, display: Display, interruption: Interruption
+    slam: Slam, iterations: int, record: run_folder.RunRecord, display: Display, interruption: Interruption
 ) -> None:
     """Fit the finished map ``iterations`` times more; Ctrl-C ends that early and the run goes on.
 
@@ -158,7 +158,7 @@ def evaluate(
     slam: Slam,
     reader: FrameReader,
     kept: list[Frame],
-    record: report.RunRecord,
+    record: run_folder.RunRecord,
     folder: Path,
     display: Display,
     interruption: Interruption,
@@ -196,13 +196,13 @@ def evaluate(
         record.evaluation = evaluation
 
 
-def save(slam: Slam, record: report.RunRecord, folder: Path, started: float) -> dict[str, Any]:
+def save(slam: Slam, record: run_folder.RunRecord, folder: Path, started: float) -> dict[str, Any]:
     """Write the run folder and return what ``metrics.json`` holds."""
-    report.write_trajectories(folder, record)  # first: where the device has failed, the map cannot be had
+    run_folder.write_trajectories(folder, record)  # first: where the device has failed, the map cannot be had
     arrays = slam.map_arrays()
-    report.write_map(folder, arrays, slam.objects(record.class_names), slam.linear_classifier())
-    report.write_frames(folder, record)
-    report.write_object_scores(folder, record)
-    metrics = report.metrics_of(record, wall_s=time.perf_counter() - started, gaussians=len(arrays))
-    report.write_metrics(folder, metrics)
+    run_folder.write_map(folder, arrays, slam.objects(record.class_names), slam.linear_classifier())
+    run_folder.write_frames(folder, record)
+    run_folder.write_object_scores(folder, record)
+    metrics = run_folder.metrics_of(record, wall_s=time.perf_counter() - started, gaussians=len(arrays))
+    run_folder.write_metrics(folder, metrics)
     return metrics

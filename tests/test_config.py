@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ggwarp import config as c
+from ggwarp.geometry.camera import Camera
 from ggwarp.io.toml import write_toml
-from ggwarp.types import Camera
 
 PRESETS = ["gg-slam", "gs-icp", "fast", "quality"]
 

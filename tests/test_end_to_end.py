@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from ggwarp import run
-from ggwarp.datasets.synthetic import SyntheticOffice
+from ggwarp.datasets.built_in.synthetic import SyntheticOffice
 from ggwarp.io.ply import read_ply
 from ggwarp.io.trajectory import read_tum
 from ggwarp.map.gaussians import GaussianBatch, GaussianMap

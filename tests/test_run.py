@@ -19,13 +19,14 @@ import numpy as np
 import pytest
 
 from ggwarp import config, run
+from ggwarp.editing.saved_run import load_run
+from ggwarp.geometry.camera import Camera
 from ggwarp.io.ply import PlyGaussians, read_ply
 from ggwarp.io.trajectory import read_tum
 from ggwarp.objects.inventory import inventory
-from ggwarp.objects.linear import LinearClassifier
-from ggwarp.objects.saved import load_run
-from ggwarp.pipeline import report
-from ggwarp.types import Camera, Rendered, StepReport, Verdict
+from ggwarp.objects.linear_classifier import LinearClassifier
+from ggwarp.results import run_folder
+from ggwarp.types import Rendered, StepReport, Verdict
 
 WIDTH, HEIGHT, FRAMES = 64, 48, 6
 
@@ -145,7 +146,7 @@ def test_a_run_leaves_its_folder(scene, fake, tmp_path, capsys):
     pictures = {
         f"renders/frame{i:06d}_{w}.png" for i in (0, 4) for w in ("rgb", "depth", "objects", "features")
     }
-    assert files == pictures | set(report.OUTPUTS)
+    assert files == pictures | set(run_folder.OUTPUTS)
     metrics = json.loads((folder / "metrics.json").read_text())
     assert metrics["sequence"] == "room9" and metrics["dataset"] == "replica" and metrics["device"] == "cpu"
     assert metrics["frames"] == FRAMES and metrics["heldout_frames"] == FRAMES - 2
@@ -249,7 +250,7 @@ def test_ctrl_c_saves_what_there_is(scene, fake, monkeypatch, capsys, pipelined)
         and metrics["ate_rmse_cm"] is not None
         and metrics["psnr"] is None
     )
-    assert set(report.OUTPUTS) <= {p.name for p in Path("o").iterdir()}
+    assert set(run_folder.OUTPUTS) <= {p.name for p in Path("o").iterdir()}
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
@@ -259,7 +260,7 @@ def test_the_office_says_that_it_is_not_the_real_one(fake, capsys):
         == 0
     )
     out = capsys.readouterr().out
-    assert "built-in synthetic office" in out and "tools/download.py replica office0" in out
+    assert "built-in synthetic office" in out and "ggwarp download replica office0" in out
     metrics = json.loads(Path("o/metrics.json").read_text())
     assert metrics["dataset"] == "synthetic" and metrics["sequence"] == "office0"
 
@@ -337,7 +338,7 @@ def test_no_space_left(scene, fake, monkeypatch, capsys):
     def full(path, *arguments, **options):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
 
-    monkeypatch.setattr(report, "write_ply", full)
+    monkeypatch.setattr(run_folder, "write_ply", full)
     assert run.main(["--seq", "room9", "--device", "cpu", "--out", "o"]) == 2
     assert _only_line(capsys) == f"ggwarp: {Path('o/map.ply')}: No space left on device"
 
@@ -363,7 +364,7 @@ def test_a_failure_says_its_reason_and_saves_what_there_is(scene, fake, monkeypa
     assert out.splitlines()[-1] == f"failed after {frames} of 6 frames; saved in o"
     assert metrics["mapping_iterations"] == 3 * 3 and metrics["refine_iterations"] == 0
     assert metrics["psnr"] is None and len(read_ply(Path("o/map.ply"))) == 7
-    assert set(report.OUTPUTS) <= {p.name for p in Path("o").iterdir()}
+    assert set(run_folder.OUTPUTS) <= {p.name for p in Path("o").iterdir()}
 
 
 def test_a_failed_refinement_keeps_the_map(scene, fake, monkeypatch, capsys):

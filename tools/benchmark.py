@@ -24,7 +24,7 @@ from benchmarking.record import Record, write_record
 from benchmarking.tables import show
 from ggwarp.config import ConfigError
 from ggwarp.datasets import DatasetError
-from ggwarp.kernels import loading
+from ggwarp.runtime import loading
 
 SUBCOMMANDS: dict[str, tuple[Any, Callable[[Any], Record]]] = {
     "kernels": (kernels.KernelsOptions, kernels.run),

@@ -24,19 +24,20 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ggwarp import lie
+from ggwarp.datasets.built_in.synthetic import FRAME_RATE, SyntheticOffice
 from ggwarp.datasets.reader import resized
-from ggwarp.datasets.synthetic import FRAME_RATE, SyntheticOffice
+from ggwarp.editing.device import ready_device
+from ggwarp.editing.edits import remove
+from ggwarp.editing.inpaint.filling import fill_removed
+from ggwarp.editing.inpaint.image_inpainting import inpaint_opencv, inpaint_shade
+from ggwarp.editing.map_view import MapView
+from ggwarp.editing.saved_run import RunError, SavedRun, load_run
+from ggwarp.editing.selection import select
+from ggwarp.geometry import se3
+from ggwarp.geometry.camera import Camera
 from ggwarp.io.trajectory import read_tum
-from ggwarp.objects.device import ready_device
-from ggwarp.objects.edit import remove
-from ggwarp.objects.filling import fill_removed
-from ggwarp.objects.inpainting import inpaint_opencv, inpaint_shade
 from ggwarp.objects.inventory import ObjectRecord
-from ggwarp.objects.saved import RunError, SavedRun, load_run
-from ggwarp.objects.selection import select
-from ggwarp.objects.view import MapView
-from ggwarp.types import Camera, Float32, Float64, Frame
+from ggwarp.types import Float32, Float64, Frame
 
 Bools = NDArray[np.bool_]
 
@@ -118,7 +119,7 @@ class Office:
         seen = np.zeros(len(points), bool)
         for frame in self.frames:
             assert frame.depth is not None and frame.mask is not None and frame.T_wc is not None
-            x, y, z = lie.transform_points(lie.inverse(frame.T_wc), points).T
+            x, y, z = se3.transform_points(se3.inverse(frame.T_wc), points).T
             depth = np.where(z > 0.05, z, 1.0)
             columns = np.rint(self.camera.fx * x / depth + self.camera.cx).astype(int)
             rows = np.rint(self.camera.fy * y / depth + self.camera.cy).astype(int)
@@ -136,7 +137,7 @@ def _points(
 ) -> Float64:
     z = depth[rows, columns]
     local = np.stack([(columns - camera.cx) / camera.fx * z, (rows - camera.cy) / camera.fy * z, z], axis=1)
-    return lie.transform_points(T_wc, local)
+    return se3.transform_points(T_wc, local)
 
 
 def removable(objects: Sequence[ObjectRecord]) -> list[ObjectRecord]:

@@ -20,10 +20,10 @@ from ggwarp.datasets.base import (
 )
 
 if TYPE_CHECKING:
+    from ggwarp.datasets.built_in.faults import SensorFaults
+    from ggwarp.datasets.built_in.synthetic import SyntheticOffice
     from ggwarp.datasets.calibration import Intrinsics
-    from ggwarp.datasets.faults import SensorFaults
     from ggwarp.datasets.reader import BadFrame, FrameReader
-    from ggwarp.datasets.synthetic import SyntheticOffice
 
 __all__ = [
     "KINDS",
@@ -48,7 +48,7 @@ FALLBACK = "office0"
 _LAZY = {
     "BadFrame": "ggwarp.datasets.reader",
     "FrameReader": "ggwarp.datasets.reader",
-    "SyntheticOffice": "ggwarp.datasets.synthetic",
+    "SyntheticOffice": "ggwarp.datasets.built_in.synthetic",
 }
 
 
@@ -103,7 +103,7 @@ def open_dataset(
         return _built_in(seq, masks, faults)
     raise DatasetError(
         f"{seq}: no such sequence; looked for {', '.join(map(str, candidates))} "
-        f"(--data names another data root, tools/download.py fetches one, --seq office is built in)"
+        f"(--data names another data root, ggwarp download fetches one, --seq office is built in)"
     )
 
 
@@ -144,8 +144,8 @@ def _video(path: Path, intrinsics: Intrinsics | None) -> Dataset:
 
 
 def _built_in(seq: str, masks: Masks, faults: SensorFaults | None) -> Dataset:
-    from ggwarp.datasets.faults import SensorFaults
-    from ggwarp.datasets.synthetic import SyntheticOffice, SyntheticWall
+    from ggwarp.datasets.built_in.faults import SensorFaults
+    from ggwarp.datasets.built_in.synthetic import SyntheticOffice, SyntheticWall
 
     scene = (SyntheticWall if seq == "wall" else SyntheticOffice)(faults=faults or SensorFaults())
     if masks is None:

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
-from ggwarp.types import Camera, Frame
+from ggwarp.geometry.camera import Camera
+from ggwarp.types import Frame
 
 
 class DatasetError(ValueError):

@@ -12,7 +12,7 @@ from typing import Any
 
 from ggwarp.datasets.base import DatasetError
 from ggwarp.datasets.text import read_numbers, read_text
-from ggwarp.types import Camera
+from ggwarp.geometry.camera import Camera
 
 CAMERA_FILES = (
     "camera.json",

@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 from ggwarp.datasets.base import Dataset, DatasetError, FrameError, Masks, at_scale
 from ggwarp.datasets.images import PNG_SIGNATURE, decode, png_chunks, read_bytes
 from ggwarp.datasets.resize import resize_nearest
-from ggwarp.types import Camera, Frame
+from ggwarp.geometry.camera import Camera
+from ggwarp.types import Frame
 
 log = logging.getLogger(__name__)
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ggwarp import lie
 from ggwarp.datasets.base import DatasetError
 from ggwarp.datasets.text import read_numbers
+from ggwarp.geometry import se3
 from ggwarp.types import Float64
 
 log = logging.getLogger(__name__)
@@ -77,7 +77,7 @@ def read_stamped(path: Path) -> tuple[Float64, list[Float64 | None]]:
         pose = None
         if np.isfinite(values).all() and abs(length - 1.0) < _ROTATION_TOLERANCE:
             pose = np.eye(4)
-            pose[:3, :3] = lie.matrix_from_quat([qw, qx, qy, qz])
+            pose[:3, :3] = se3.matrix_from_quat([qw, qx, qy, qz])
             pose[:3, 3] = tx, ty, tz
         else:
             unusable.append(line)

@@ -14,7 +14,8 @@ import numpy as np
 
 from ggwarp.datasets.base import Dataset, DatasetError, FrameError, at_scale
 from ggwarp.datasets.resize import reduce_depth, resize_nearest
-from ggwarp.types import Camera, Frame
+from ggwarp.geometry.camera import Camera
+from ggwarp.types import Frame
 
 
 @dataclass(frozen=True)

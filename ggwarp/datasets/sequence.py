@@ -16,7 +16,8 @@ from ggwarp.datasets.base import DatasetError, FrameError, Masks
 from ggwarp.datasets.calibration import Calibration
 from ggwarp.datasets.images import COLOUR_SUFFIXES, read_colour, read_depth
 from ggwarp.datasets.masks import find_masks, find_true_masks
-from ggwarp.types import Camera, Float32, Float64, Frame
+from ggwarp.geometry.camera import Camera
+from ggwarp.types import Float32, Float64, Frame
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,8 @@ from ggwarp.datasets.images import image_size
 from ggwarp.datasets.poses import read_stamped
 from ggwarp.datasets.sequence import Entry, FileSequence
 from ggwarp.datasets.text import parse_float, read_lines
-from ggwarp.types import Camera, Float64
+from ggwarp.geometry.camera import Camera
+from ggwarp.types import Float64
 
 log = logging.getLogger(__name__)
 

@@ -6,8 +6,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+from ggwarp.geometry.camera import Camera
 from ggwarp.io.atomic import atomic_write
-from ggwarp.types import Camera
 
 DEPTH_SCALE = 1000.0
 """Of the depth pictures of a run: raw value / scale = metres."""

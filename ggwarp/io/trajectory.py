@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ggwarp import lie
+from ggwarp.geometry import se3
 from ggwarp.io.atomic import atomic_write
 from ggwarp.types import Float64
 
@@ -31,7 +31,7 @@ def write_tum(path: str | Path, timestamps: ArrayLike, poses: Sequence[Float64 |
     for stamp, T_wc in zip(np.asarray(timestamps, np.float64), poses, strict=True):
         if T_wc is None:
             continue
-        qw, qx, qy, qz = lie.quat_from_matrix(T_wc[:3, :3])
+        qw, qx, qy, qz = se3.quat_from_matrix(T_wc[:3, :3])
         values = " ".join(f"{value:.9f}" for value in (*T_wc[:3, 3], qx, qy, qz, qw))
         rows.append(f"{stamp:.6f} {values}\n")
     with atomic_write(path) as file:
@@ -60,7 +60,7 @@ def read_tum(path: str | Path) -> tuple[Float64, Float64]:
         if len(values) != 8 or not np.isfinite(values).all() or not values[4:].any():
             raise ValueError(f"{path}:{number}: {line.strip()!r} is no pose; expected t tx ty tz qx qy qz qw")
         T_wc = np.eye(4)
-        T_wc[:3, :3] = lie.matrix_from_quat(values[[7, 4, 5, 6]])
+        T_wc[:3, :3] = se3.matrix_from_quat(values[[7, 4, 5, 6]])
         T_wc[:3, 3] = values[1:4]
         stamps.append(values[0])
         poses.append(T_wc)

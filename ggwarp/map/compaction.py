@@ -7,8 +7,8 @@ from typing import Any
 
 import warp as wp
 
-from ggwarp.kernels import compact
-from ggwarp.kernels.streams import to_host
+from ggwarp.kernels.optim import compact
+from ggwarp.runtime.streams import to_host
 
 
 def kept_indices(flags: Any, count: int) -> tuple[int, Any]:

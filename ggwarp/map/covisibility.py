@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,11 +11,12 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ggwarp.kernels.covisibility import flag_seen
-from ggwarp.kernels.streams import to_host
+from ggwarp.geometry.camera import Camera
+from ggwarp.kernels.raster.covisibility import flag_seen
 from ggwarp.map.gaussians import GaussianMap
 from ggwarp.map.renderer import Renderer
-from ggwarp.types import Camera, Float64
+from ggwarp.runtime.streams import to_host
+from ggwarp.types import Float64
 
 Seen = NDArray[np.bool_]
 
@@ -32,6 +34,10 @@ class Sight:
 
     seen: Seen
     median_depth: float
+
+
+Look = Callable[[Float64], Sight]
+"""What a camera-to-world pose [4, 4] sees of the map."""
 
 
 class Covisibility:

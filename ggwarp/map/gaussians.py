@@ -15,10 +15,10 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ggwarp.kernels.adam import AdamState, GaussianArrays
 from ggwarp.kernels.math import vec16
-from ggwarp.kernels.streams import to_host
+from ggwarp.kernels.optim.adam import AdamState, GaussianArrays
 from ggwarp.map.compaction import gathered, kept_indices
+from ggwarp.runtime.streams import to_host
 
 PARAMETERS: dict[str, Any] = {
     "means": wp.vec3,
@@ -48,7 +48,7 @@ class GaussianBatch:
         colours: [n, 3] float32, degree-0 spherical harmonics.
         identities: [n, 16] float32; None where the map has no identities.
         births: [n] int32, number of the keyframe that brought each; None: 0.
-        votes: [n] int32, labels seen so far (:mod:`ggwarp.kernels.fusion`); None: none.
+        votes: [n] int32, labels seen so far (:mod:`ggwarp.kernels.identity.label_fusion`); None: none.
     """
 
     means: NDArray[np.float32]
@@ -74,8 +74,8 @@ class GaussianMap:
         version: grows whenever rows are added or removed.
         allocation: grows whenever ``fields`` become other arrays.
         fields: name -> array of ``capacity`` rows: the parameters, the optimiser's state,
-            ``births``, ``votes``, ``idle`` (:func:`ggwarp.kernels.compact.count_idle`), ``pulls`` and
-            ``pull_counts`` (:func:`ggwarp.kernels.project_adjoint.project_adjoint`).
+            ``births``, ``votes``, ``idle`` (:func:`ggwarp.kernels.optim.compact.count_idle`), ``pulls`` and
+            ``pull_counts`` (:func:`ggwarp.kernels.raster.project_adjoint.project_adjoint`).
     """
 
     def __init__(self, *, device: Any, has_identity: bool, capacity: int = 1 << 15) -> None:

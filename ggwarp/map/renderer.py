@@ -8,19 +8,20 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ggwarp import lie
-from ggwarp.kernels.adam import GaussianArrays
-from ggwarp.kernels.composite import composite, composite_adjoint
+from ggwarp.geometry import se3
+from ggwarp.geometry.camera import Camera
 from ggwarp.kernels.math import vec6
-from ggwarp.kernels.project import intrinsics_of, project
-from ggwarp.kernels.project_adjoint import pose_levels, project_adjoint
-from ggwarp.kernels.sampling import Sample
-from ggwarp.kernels.streams import to_host
-from ggwarp.kernels.tiles import TILE, TileCapacityError, bin_splats
-from ggwarp.kernels.tiles_parallel import PEAK
+from ggwarp.kernels.optim.adam import GaussianArrays
+from ggwarp.kernels.raster.composite import composite, composite_adjoint
+from ggwarp.kernels.raster.project import intrinsics_of, project
+from ggwarp.kernels.raster.project_adjoint import pose_levels, project_adjoint
+from ggwarp.kernels.raster.sampling import Sample
+from ggwarp.kernels.raster.tiles import TILE, TileCapacityError, bin_splats
+from ggwarp.kernels.raster.tiles_parallel import PEAK
+from ggwarp.kernels.workspaces import allocate_slot_gradients, allocate_splats, allocate_tiles
 from ggwarp.map.gaussians import PARAMETERS, GaussianMap
-from ggwarp.ops.workspace import allocate_slot_gradients, allocate_splats, allocate_tiles
-from ggwarp.types import Camera, Float32, Float64
+from ggwarp.runtime.streams import to_host
+from ggwarp.types import Float32, Float64
 
 _SLOTS_PER_GAUSSIAN = 4
 _GROWTH = 1.5
@@ -175,7 +176,7 @@ class Renderer:
 
     def pose_array(self, T_wc: Float64) -> wp.array:
         """Return ``T_wc`` [4, 4] as the kernels want it: world to camera, on the device."""
-        matrix = lie.inverse(T_wc).astype(np.float32)
+        matrix = se3.inverse(T_wc).astype(np.float32)
         return wp.array(matrix[None], dtype=wp.mat44, device=self._device)
 
     def plane(self, array: wp.array) -> Float32:

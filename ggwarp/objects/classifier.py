@@ -10,19 +10,19 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ggwarp.kernels.adam import adam_classifier
-from ggwarp.kernels.classify import classify_gaussians, classify_pixels
-from ggwarp.kernels.draws import draw_sample
-from ggwarp.kernels.identity import cross_entropy
-from ggwarp.kernels.identity_kl import neighbour_divergence
-from ggwarp.kernels.loss import OBJECT
+from ggwarp.kernels.identity.classify import classify_gaussians, classify_pixels
+from ggwarp.kernels.identity.cross_entropy import cross_entropy
+from ggwarp.kernels.identity.neighbour_kl import neighbour_divergence
+from ggwarp.kernels.identity.random import draw_sample
+from ggwarp.kernels.losses.rgbd import OBJECT
 from ggwarp.kernels.math import vec16
-from ggwarp.kernels.sampling import Sample
-from ggwarp.kernels.streams import to_host
+from ggwarp.kernels.optim.adam import adam_classifier
+from ggwarp.kernels.raster.sampling import Sample
+from ggwarp.kernels.workspaces import allocate_identity, allocate_neighbours
 from ggwarp.map.gaussians import SH_C0, GaussianMap
 from ggwarp.map.renderer import Renderer
-from ggwarp.map.workspaces import allocate_identity, allocate_neighbours
 from ggwarp.objects.neighbourhood import Neighbourhood
+from ggwarp.runtime.streams import to_host
 from ggwarp.types import Float32
 
 IDENTITY_SIZE = 16
@@ -112,7 +112,7 @@ class Classifier:
         Args:
             renderer: after its forward pass with the sample drawn for ``labels``.
             labels: [h, w] class of each pixel; None: this view teaches nothing.
-            losses: see :data:`ggwarp.kernels.loss.LOSS_COUNT`.
+            losses: see :data:`ggwarp.kernels.losses.rgbd.LOSS_COUNT`.
         """
         if labels is None or self.count < 2:
             self._d_weights.zero_()

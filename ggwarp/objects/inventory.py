@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ggwarp.geometry.boxes import Box, OrientedBox, Vector, axis_aligned_box, main_parts, oriented_box
 from ggwarp.map.gaussians import SH_C0
-from ggwarp.objects.boxes import Box, OrientedBox, Vector, axis_aligned_box, main_parts, oriented_box
-from ggwarp.objects.registry import NO_OBJECT
-from ggwarp.objects.sightings import Sightings
+from ggwarp.objects.class_table import NO_OBJECT
+from ggwarp.objects.visibility import Sightings
 from ggwarp.types import Float32
 
 
@@ -27,7 +27,7 @@ class ObjectRecord:
         class_name: what it is, where the data says.
         label: the name a user gave it.
         count: its Gaussians.
-        box, oriented_box: trimmed; see :mod:`ggwarp.objects.boxes`.
+        box, oriented_box: trimmed; see :mod:`ggwarp.geometry.boxes`.
         centre: mean of its main parts' Gaussians, metres, world frame; what it turns about.
         colour: mean (red, green, blue), 0..255.
         first_frame, last_frame: the first and last keyframe that show it.

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ggwarp.kernels.draws import draw_points
-from ggwarp.kernels.neighbours import allocate_hash_grid, build_hash_grid, find_k_nearest
-from ggwarp.kernels.streams import to_host
+from ggwarp.kernels.identity.random import draw_points
+from ggwarp.kernels.registration.hash_grid import allocate_hash_grid, build_hash_grid, find_k_nearest
 from ggwarp.map.gaussians import GaussianMap
+from ggwarp.runtime.streams import to_host
 
 _SAMPLE = 10_000
 

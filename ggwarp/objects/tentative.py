@@ -13,8 +13,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from ggwarp.geometry.camera import Camera
 from ggwarp.objects.labels import Labels
-from ggwarp.types import Camera, Float32, Float64
+from ggwarp.types import Float32, Float64
 
 _POINTS = 64
 _TOLERANCE = 0.05

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import torch
 
-from ggwarp.ops.registration import Cloud, Registration, Stage, build_target, register
 from ggwarp.ops.tensors import as_matrices, as_quats, as_vectors, warp_device
+from ggwarp.solvers.registration import Cloud, Registration, Stage, build_target, register
 
 
 def gicp(

@@ -6,7 +6,7 @@ from __future__ import annotations
 import torch
 import warp as wp
 
-from ggwarp.kernels import covariance, neighbours
+from ggwarp.kernels.registration import covariance, hash_grid
 from ggwarp.ops.tensors import as_quats, as_vectors, warp_device
 
 
@@ -33,13 +33,13 @@ def knn(
     queries = points if queries is None else queries
     device = warp_device(points)
     targets, sources = as_vectors(points, "points"), as_vectors(queries, "queries")
-    grid = neighbours.allocate_hash_grid(len(points), device=device)
-    neighbours.build_hash_grid(grid, targets, cell_size=cell_size or _cell_size(points, k), device=device)
+    grid = hash_grid.allocate_hash_grid(len(points), device=device)
+    hash_grid.build_hash_grid(grid, targets, cell_size=cell_size or _cell_size(points, k), device=device)
     indices = torch.empty((len(queries), k), dtype=torch.int32, device=points.device)
     distances2 = torch.empty((len(queries), k), dtype=torch.float32, device=points.device)
     if not len(queries):
         return indices, distances2
-    neighbours.find_k_nearest(
+    hash_grid.find_k_nearest(
         grid,
         sources,
         k=k,

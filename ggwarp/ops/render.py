@@ -11,14 +11,14 @@ import warp as wp
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from ggwarp.kernels.composite import composite, composite_adjoint
+from ggwarp.geometry.camera import Camera
 from ggwarp.kernels.math import vec6, vec16
-from ggwarp.kernels.project import TILE, Splats, intrinsics_of, project
-from ggwarp.kernels.project_adjoint import pose_levels, project_adjoint
-from ggwarp.kernels.streams import to_host
-from ggwarp.kernels.tiles import TileArrays, TileCapacityError, bin_splats, tiles_across
-from ggwarp.ops.workspace import allocate_slot_gradients, allocate_splats, allocate_tiles
-from ggwarp.types import Camera
+from ggwarp.kernels.raster.composite import composite, composite_adjoint
+from ggwarp.kernels.raster.project import TILE, Splats, intrinsics_of, project
+from ggwarp.kernels.raster.project_adjoint import pose_levels, project_adjoint
+from ggwarp.kernels.raster.tiles import TileArrays, TileCapacityError, bin_splats, tiles_across
+from ggwarp.kernels.workspaces import allocate_slot_gradients, allocate_splats, allocate_tiles
+from ggwarp.runtime.streams import to_host
 
 _FIELDS: dict[str, tuple[Any, tuple[int, ...]]] = {
     "means": (wp.vec3, (3,)),

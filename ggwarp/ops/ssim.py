@@ -11,8 +11,15 @@ import warp as wp
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from ggwarp.kernels.losses.ssim import (
+    BINS,
+    REACH,
+    LossWorkspace,
+    compare_adjoint,
+    pieces_per_row,
+    ssim_forward,
+)
 from ggwarp.kernels.math import vec16
-from ggwarp.kernels.ssim import BINS, REACH, LossWorkspace, compare_adjoint, pieces_per_row, ssim_forward
 
 
 def ssim(image: Tensor, target: Tensor) -> Tensor:

@@ -18,24 +18,32 @@ from typing import Any, Literal
 
 import numpy as np
 
+from ggwarp.geometry.camera import Camera
 from ggwarp.io.ply import PlyGaussians
-from ggwarp.kernels import loading
-from ggwarp.kernels.lanes import OPEN_ROAD, two_lanes
 from ggwarp.map.renderer import Renderer
 from ggwarp.objects.inventory import ObjectRecord
-from ggwarp.objects.linear import LinearClassifier
-from ggwarp.pipeline.hybrid import HybridConfig
-from ggwarp.pipeline.keyframes import KeyframeConfig, KeyframeKind, KeyframePolicy, OverlapKeyframes
-from ggwarp.pipeline.mapper import Mapper, MapperConfig
-from ggwarp.pipeline.mono_start import MonoStartConfig
-from ggwarp.pipeline.monocular import MonocularTracker
-from ggwarp.pipeline.photometric import PhotometricConfig
+from ggwarp.objects.linear_classifier import LinearClassifier
+from ggwarp.pipeline.mapping.keyframe_window import WindowConfig
+from ggwarp.pipeline.mapping.mapper import Mapper, MapperConfig
 from ggwarp.pipeline.scheduler import Arrival, Scheduler, SynchronousScheduler, Waiting
-from ggwarp.pipeline.trackable import TrackableConfig, TrackableMap
-from ggwarp.pipeline.tracker import TrackerConfig
-from ggwarp.pipeline.trackers import Tracker, TrackerKind, make_tracker
-from ggwarp.pipeline.window import CovisibilityKeyframes, WindowConfig
-from ggwarp.types import Camera, Float64, Frame, Rendered, StepReport, TrackResult, Verdict
+from ggwarp.pipeline.tracking.gicp import TrackerConfig
+from ggwarp.pipeline.tracking.hybrid import HybridConfig
+from ggwarp.pipeline.tracking.initialisation import MonoStartConfig
+from ggwarp.pipeline.tracking.keyframe_policy import (
+    CovisibilityConfig,
+    CovisibilityKeyframes,
+    KeyframeConfig,
+    KeyframeKind,
+    KeyframePolicy,
+    OverlapKeyframes,
+)
+from ggwarp.pipeline.tracking.monocular import MonocularTracker
+from ggwarp.pipeline.tracking.photometric import PhotometricConfig
+from ggwarp.pipeline.tracking.point_map import TrackableConfig, TrackableMap
+from ggwarp.pipeline.tracking.tracker import Tracker, TrackerKind, make_tracker
+from ggwarp.runtime import loading
+from ggwarp.runtime.stream_scopes import OPEN_ROAD, two_lanes
+from ggwarp.types import Float64, Frame, Rendered, StepReport, TrackResult, Verdict
 
 KeyframePolicyKind = Literal["overlap", "covisibility"]
 
@@ -54,6 +62,7 @@ class SlamConfig:
     mapper: MapperConfig = field(default_factory=MapperConfig)
     policy: KeyframePolicyKind = "overlap"
     """Keyframes by overlap with the trackable points (GG-SLAM), or by covisibility, in a window (MonoGS)."""
+    covisibility: CovisibilityConfig = field(default_factory=CovisibilityConfig)
     window: WindowConfig = field(default_factory=WindowConfig)
     monocular: bool = False
     """Frames have no depth."""
@@ -135,7 +144,9 @@ class Slam:
         )
         look = None if self._mapper.covisibility is None else self._mapper.covisibility.look
         self._policy: KeyframePolicy = (
-            OverlapKeyframes(config.keyframes) if look is None else CovisibilityKeyframes(config.window, look)
+            OverlapKeyframes(config.keyframes)
+            if look is None
+            else CovisibilityKeyframes(config.covisibility, look)
         )
         self._tracker: Tracker = make_tracker(
             config.tracker,

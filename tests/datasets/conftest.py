@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from ggwarp import lie
+from ggwarp.geometry import se3
 
 WIDTH, HEIGHT = 24, 16
 CAMERA = {"w": WIDTH, "h": HEIGHT, "fx": 20.0, "fy": 20.0, "cx": 11.5, "cy": 7.5, "scale": 1000.0}
@@ -30,7 +30,7 @@ def depth(i: int, width: int = WIDTH, height: int = HEIGHT) -> np.ndarray:
 
 
 def pose(i: int) -> np.ndarray:
-    return lie.se3_exp([0.1 * i, 0.0, 0.0, 0.0, 0.05 * i, 0.0])
+    return se3.se3_exp([0.1 * i, 0.0, 0.0, 0.0, 0.05 * i, 0.0])
 
 
 def save(path: Path, image: np.ndarray) -> Path:

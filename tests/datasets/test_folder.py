@@ -11,7 +11,7 @@ import pytest
 
 from ggwarp.datasets import DatasetError, FrameError, open_dataset
 from ggwarp.datasets.folder import open_sequence, recognises
-from ggwarp.types import Camera
+from ggwarp.geometry.camera import Camera
 
 Maker = Callable[..., Path]
 

@@ -11,7 +11,7 @@ import pytest
 
 from ggwarp.datasets import KINDS, Dataset, DatasetError, Kind, open_dataset, register
 from ggwarp.datasets.base import at_scale
-from ggwarp.datasets.faults import SensorFaults
+from ggwarp.datasets.built_in.faults import SensorFaults
 from ggwarp.datasets.masks import write_mask
 from ggwarp.datasets.tum import full_name
 

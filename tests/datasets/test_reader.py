@@ -13,7 +13,8 @@ import pytest
 
 from ggwarp.datasets import BadFrame, DatasetError, FrameReader, open_dataset
 from ggwarp.datasets.replica import open_sequence
-from ggwarp.types import Camera, Frame
+from ggwarp.geometry.camera import Camera
+from ggwarp.types import Frame
 
 Maker = Callable[..., Path]
 

@@ -10,9 +10,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ggwarp import lie
 from ggwarp.datasets import DatasetError, FrameError, open_dataset
 from ggwarp.datasets.replica import open_sequence
+from ggwarp.geometry import se3
 
 Maker = Callable[..., Path]
 
@@ -213,4 +213,4 @@ def test_real_recordings(
     assert frame.rgb.shape == (size[1], size[0], 3) and frame.depth is not None and frame.T_wc is not None
     valid = frame.depth[frame.depth > 0]
     assert 0.3 < valid.min() and valid.max() < 10.0
-    np.testing.assert_allclose(lie.orthonormalised(frame.T_wc), frame.T_wc, atol=1e-5)
+    np.testing.assert_allclose(se3.orthonormalised(frame.T_wc), frame.T_wc, atol=1e-5)

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from ggwarp.datasets import Dataset, DatasetError, FrameReader, open_dataset
-from ggwarp.types import Camera, Frame
+from ggwarp.geometry.camera import Camera
+from ggwarp.types import Frame
 
 INTRINSICS = (50.0, 51.0, 31.5, 23.5)
 

@@ -4,13 +4,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ggwarp import lie
 from ggwarp.evaluation.trajectory import absolute_error, align, relative_error
+from ggwarp.geometry import se3
 
 
 def _poses(rng: np.random.Generator, count: int) -> np.ndarray:
     twists = rng.normal(size=(count, 6))
-    return np.stack([lie.se3_exp(t) for t in twists])
+    return np.stack([se3.se3_exp(t) for t in twists])
 
 
 def _moved(poses: np.ndarray, T: np.ndarray) -> np.ndarray:
@@ -19,7 +19,7 @@ def _moved(poses: np.ndarray, T: np.ndarray) -> np.ndarray:
 
 def test_a_rigidly_moved_trajectory_has_no_error(rng):
     true = _poses(rng, 20)
-    error = absolute_error(_moved(true, lie.se3_exp(rng.normal(size=6))), true)
+    error = absolute_error(_moved(true, se3.se3_exp(rng.normal(size=6))), true)
     assert error.rmse < 1e-12 and error.maximum < 1e-12
 
 
@@ -48,7 +48,7 @@ def test_rmse_and_mean_are_what_they_are_called():
 def test_alignment_is_a_rotation_and_no_nearby_one_is_better(count, seed, noise):
     rng = np.random.default_rng(seed)
     source = rng.normal(size=(count, 3))
-    target = source @ lie.se3_exp(rng.normal(size=6))[:3, :3].T + rng.normal(size=3)
+    target = source @ se3.se3_exp(rng.normal(size=6))[:3, :3].T + rng.normal(size=3)
     target += noise * rng.normal(size=target.shape)
     scale, R, t = align(source, target)
     assert scale == 1.0
@@ -61,7 +61,7 @@ def test_alignment_is_a_rotation_and_no_nearby_one_is_better(count, seed, noise)
     best = np.eye(4)
     best[:3, :3], best[:3, 3] = R, t
     for _ in range(5):
-        assert cost(best) <= cost(lie.se3_exp(1e-2 * rng.normal(size=6)) @ best) + 1e-9
+        assert cost(best) <= cost(se3.se3_exp(1e-2 * rng.normal(size=6)) @ best) + 1e-9
 
 
 def test_mirrored_points_still_give_a_rotation(rng):
@@ -87,7 +87,7 @@ def test_wrong_shapes_are_refused():
 
 def test_relative_error_sees_drift_and_not_position(rng):
     true = _poses(rng, 10)
-    moved = _moved(true, lie.se3_exp(rng.normal(size=6)))
+    moved = _moved(true, se3.se3_exp(rng.normal(size=6)))
     same = relative_error(moved, true)
     assert same is not None and same.rmse < 1e-12
     drift = np.tile(np.eye(4), (5, 1, 1))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 import pytest
 
+from ggwarp.geometry.camera import Camera
 from ggwarp.io.camera import read_camera, write_camera
-from ggwarp.types import Camera
 
 
 def test_a_camera_comes_back(tmp_path):

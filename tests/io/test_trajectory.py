@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ggwarp import lie
+from ggwarp.geometry import se3
 from ggwarp.io.atomic import atomic_write
 from ggwarp.io.trajectory import read_tum, write_tum
 
 
 def test_what_is_written_is_read_back(tmp_path: Path, rng: np.random.Generator) -> None:
-    poses = [lie.se3_exp(rng.normal(size=6)) for _ in range(20)]
+    poses = [se3.se3_exp(rng.normal(size=6)) for _ in range(20)]
     stamps = 1305031102.175304 + np.arange(20) / 30
     write_tum(tmp_path / "trajectory.txt", stamps, poses)
     got_stamps, got = read_tum(tmp_path / "trajectory.txt")
@@ -21,7 +21,7 @@ def test_what_is_written_is_read_back(tmp_path: Path, rng: np.random.Generator) 
 
 
 def test_a_row_is_time_position_quaternion_with_w_last(tmp_path: Path) -> None:
-    quarter_turn_about_z = lie.se3_exp([0, 0, 0, 0, 0, np.pi / 2])
+    quarter_turn_about_z = se3.se3_exp([0, 0, 0, 0, 0, np.pi / 2])
     quarter_turn_about_z[:3, 3] = 1, 2, 3
     write_tum(tmp_path / "t.txt", [5.0], [quarter_turn_about_z])
     row = (tmp_path / "t.txt").read_text().splitlines()[-1]

@@ -4,7 +4,7 @@
 import pytest
 import warp as wp
 
-from ggwarp.kernels import loading
+from ggwarp.runtime import loading
 
 MODULES = loading.all_kernel_modules()
 

@@ -3,9 +3,9 @@
 
 import numpy as np
 
-from ggwarp.map.covisibility import Covisibility
+from ggwarp.geometry.camera import Camera
+from ggwarp.map.covisibility import Covisibility, intersection_over_union, overlap_coefficient
 from ggwarp.map.gaussians import GaussianBatch, GaussianMap
-from ggwarp.types import Camera
 
 CAMERA = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
 
@@ -54,3 +54,12 @@ def test_behind_the_camera_and_in_an_empty_map_nothing_is_seen(device: str) -> N
     gaussians.append(wall(1.0, 0.05, 0.9))
     away = np.diag([-1.0, 1.0, -1.0, 1.0])
     assert not covisibility.look(away).seen.any()
+
+
+def test_sets() -> None:
+    a, b = np.array([1, 1, 1, 0, 0], bool), np.array([0, 1, 1, 1, 1], bool)
+    assert intersection_over_union(a, b) == 2 / 5
+    assert overlap_coefficient(a, b) == 2 / 3
+    nothing = np.zeros(5, bool)
+    assert intersection_over_union(nothing, nothing) == 0.0
+    assert overlap_coefficient(a, nothing) == 0.0

@@ -4,12 +4,12 @@ import pytest
 import torch
 import warp as wp
 
-from ggwarp import lie
-from ggwarp.kernels.graph import GraphCache
+from ggwarp.geometry import se3
+from ggwarp.geometry.camera import Camera
 from ggwarp.map.gaussians import PARAMETERS, GaussianBatch, GaussianMap
 from ggwarp.map.renderer import Renderer
 from ggwarp.ops.reference.render import render as reference_render
-from ggwarp.types import Camera
+from ggwarp.runtime.graphs import GraphCache
 
 CAMERA = Camera(50, 37, 45.0, 44.0, 24.0, 19.0)
 
@@ -36,7 +36,7 @@ def made(device: str, rows: GaussianBatch) -> tuple[GaussianMap, Renderer]:
 def test_the_picture_is_the_oracle_s(device: str, rng: np.random.Generator) -> None:
     rows = scene(60, rng)
     _, renderer = made(device, rows)
-    T_wc = lie.se3_exp([0.02, -0.01, 0.03, 0.01, 0.05, -0.02])
+    T_wc = se3.se3_exp([0.02, -0.01, 0.03, 0.01, 0.05, -0.02])
 
     renderer.forward(renderer.pose_array(T_wc))
 
@@ -44,7 +44,7 @@ def test_the_picture_is_the_oracle_s(device: str, rng: np.random.Generator) -> N
         torch.tensor(getattr(rows, n), dtype=torch.float64)
         for n in ("means", "quats", "log_scales", "opacity_logits", "colours", "identities")
     ]
-    image, transmittance, *_ = reference_render(*tensors, torch.tensor(lie.inverse(T_wc)), CAMERA)
+    image, transmittance, *_ = reference_render(*tensors, torch.tensor(se3.inverse(T_wc)), CAMERA)
     np.testing.assert_allclose(renderer.plane(renderer.image), image.numpy(), atol=2e-4)
     np.testing.assert_allclose(renderer.plane(renderer.transmittance), transmittance.numpy(), atol=2e-4)
 
@@ -115,11 +115,11 @@ def test_the_pose_gradient_is_that_of_finite_differences(
     rows = faint_scene(40, rng)
     gaussians, renderer = made(device, rows)
     lean = Renderer(gaussians, CAMERA, identity=False)
-    T_cw = lie.se3_exp(pose)
+    T_cw = se3.se3_exp(pose)
     weights = np.zeros((4, CAMERA.height, CAMERA.width))
     weights[planes] = rng.normal(size=(len(planes), CAMERA.height, CAMERA.width)) + 0.5
     seen_weight = 0.0 if planes else 1.0
-    T = lean.pose_array(lie.inverse(T_cw))
+    T = lean.pose_array(se3.inverse(T_cw))
 
     for r in (lean, renderer):
         r.forward(T)
@@ -134,7 +134,7 @@ def test_the_pose_gradient_is_that_of_finite_differences(
 
     def loss(tau: np.ndarray) -> float:
         tensors = [torch.tensor(getattr(rows, n), dtype=torch.float64) for n in list(PARAMETERS)[:5]]
-        T_moved = torch.tensor(lie.se3_exp(tau) @ T_cw)
+        T_moved = torch.tensor(se3.se3_exp(tau) @ T_cw)
         image, transmittance, _ = reference_render(*tensors, None, T_moved, CAMERA)
         return float((image * torch.tensor(weights)).sum() + seen_weight * transmittance.sum())
 

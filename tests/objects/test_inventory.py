@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from ggwarp.objects.inventory import ObjectRecord, inventory, refreshed
-from ggwarp.objects.sightings import Sightings
+from ggwarp.objects.visibility import Sightings
 
 C0 = 0.28209479177387814
 

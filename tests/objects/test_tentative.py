@@ -3,9 +3,9 @@
 
 import numpy as np
 
-from ggwarp import lie
+from ggwarp.geometry import se3
+from ggwarp.geometry.camera import Camera
 from ggwarp.objects.tentative import Candidates, View
-from ggwarp.types import Camera
 
 CAMERA = Camera(60, 40, 50.0, 50.0, 29.5, 19.5)
 
@@ -21,7 +21,7 @@ def wall_from(x: float, z: float = 2.0) -> tuple[View, np.ndarray]:
 
 def test_points_and_pixels_are_each_other_s_inverse() -> None:
     rng = np.random.default_rng(1)
-    T_wc = lie.se3_exp(rng.normal(size=6) * 0.3)
+    T_wc = se3.se3_exp(rng.normal(size=6) * 0.3)
     view = View(rng.uniform(1.0, 3.0, (40, 60)).astype(np.float32), T_wc, CAMERA)
     numbers = np.arange(40 * 60, dtype=np.int32).reshape(40, 60)
     assert view.look_up(view.points(numbers >= 0, 9999), numbers).tolist() == list(range(40 * 60))

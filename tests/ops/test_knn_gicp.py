@@ -7,7 +7,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ggwarp import lie
+from ggwarp.geometry import se3
 from ggwarp.ops.gicp import gicp
 from ggwarp.ops.knn import ellipses, knn
 from ggwarp.ops.reference.registration import ellipse, k_nearest
@@ -40,7 +40,7 @@ def test_ellipses(rng, device):
     for i in range(0, 200, 10):
         axes, expected = ellipse(points[neighbours[i]])
         np.testing.assert_allclose(scales[i].cpu(), expected, rtol=1e-3, atol=1e-5)
-        assert abs(axes[:, 2] @ lie.matrix_from_quat(quats[i].cpu())[:, 2]) > 0.999
+        assert abs(axes[:, 2] @ se3.matrix_from_quat(quats[i].cpu())[:, 2]) > 0.999
 
 
 def corner(rng, n):
@@ -49,18 +49,18 @@ def corner(rng, n):
     points = rng.uniform(0.2, 2.0, (n, 3))
     points[np.arange(n), wall] = 0.0
     quats = np.array(
-        [lie.quat_from_matrix(lie.so3_exp(w)) for w in ([0, np.pi / 2, 0], [np.pi / 2, 0, 0], [0, 0, 0])]
+        [se3.quat_from_matrix(se3.so3_exp(w)) for w in ([0, np.pi / 2, 0], [np.pi / 2, 0, 0], [0, 0, 0])]
     )
     return points.astype(np.float32), quats[wall].astype(np.float32)
 
 
 def test_gicp_recovers_a_motion(rng, device):
     means, target_quats = corner(rng, 4000)
-    T = lie.se3_exp([0.03, -0.02, 0.04, 0.02, 0.01, -0.03])
+    T = se3.se3_exp([0.03, -0.02, 0.04, 0.02, 0.01, -0.03])
     world, quats = corner(rng, 1500)
     points = ((world - T[:3, 3]) @ T[:3, :3]).astype(np.float32)
     scales = np.tile(np.float32([1.0, 1.0, 0.001]), (4000, 1))
-    normals = np.array([lie.matrix_from_quat(q) for q in quats])
+    normals = np.array([se3.matrix_from_quat(q) for q in quats])
     axes = T[:3, :3].T @ normals * [1.0, 1.0, 0.001]
     covariances = (axes @ axes.transpose(0, 2, 1)).astype(np.float32)
     tensors = [torch.from_numpy(x).to(device) for x in (points, covariances, means, target_quats, scales)]

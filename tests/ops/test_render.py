@@ -7,14 +7,14 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ggwarp import lie
+from ggwarp.geometry import se3
+from ggwarp.geometry.camera import Camera
 from ggwarp.ops.reference import render as oracle
 from ggwarp.ops.render import render
-from ggwarp.types import Camera
 
 CAMERA = Camera(37, 21, 30.0, 32.0, 20.3, 8.2)
 FIELDS = ("means", "quats", "log_scales", "opacity_logits", "colours", "identities")
-T_CW = lie.se3_exp([0.1, -0.2, 0.3, 0.2, -0.1, 0.3])
+T_CW = se3.se3_exp([0.1, -0.2, 0.3, 0.2, -0.1, 0.3])
 
 
 def make_scene(n, *, seed=0, spread=0.45):
@@ -25,7 +25,7 @@ def make_scene(n, *, seed=0, spread=0.45):
         -1,
     )
     points[:, :2] *= points[:, 2:]
-    T_wc = lie.inverse(T_CW)
+    T_wc = se3.inverse(T_CW)
     scene = (
         points @ T_wc[:3, :3].T + T_wc[:3, 3],
         rng.normal(size=(n, 4)),
@@ -126,7 +126,7 @@ def test_gradients_agree_with_finite_differences(device):
             expected = float((scene[k].grad * direction).sum())
             assert float(ends[0] - ends[1]) / (2 * h) == pytest.approx(expected, rel=0.02), name
         numeric = [
-            float(loss(scene, lie.se3_exp(s) @ T_CW) - loss(scene, lie.se3_exp(-s) @ T_CW)) / (2 * h)
+            float(loss(scene, se3.se3_exp(s) @ T_CW) - loss(scene, se3.se3_exp(-s) @ T_CW)) / (2 * h)
             for s in h * np.eye(6)
         ]
     assert relative(tau.grad, torch.tensor(numeric)) < 0.02
@@ -259,4 +259,4 @@ def test_wrong_arguments_are_named(device):
 
 def test_the_oracle_moves_the_camera_as_lie_does():
     tau = np.array([0.3, -0.2, 0.5, 0.7, -0.4, 1.1])
-    np.testing.assert_allclose(oracle.se3_exp(torch.tensor(tau)).numpy(), lie.se3_exp(tau), atol=1e-12)
+    np.testing.assert_allclose(oracle.se3_exp(torch.tensor(tau)).numpy(), se3.se3_exp(tau), atol=1e-12)

@@ -4,11 +4,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ggwarp import lie
-from ggwarp.datasets.synthetic import SyntheticOffice
-from ggwarp.pipeline.mapper import MapperConfig
+from ggwarp.datasets.built_in.synthetic import SyntheticOffice
+from ggwarp.geometry import se3
+from ggwarp.pipeline.mapping.mapper import MapperConfig
 from ggwarp.pipeline.slam import Slam, SlamConfig
-from ggwarp.pipeline.window import WindowConfig
+from ggwarp.pipeline.tracking.keyframe_policy import CovisibilityConfig
 from ggwarp.types import Frame, Verdict
 
 OFFICE = SyntheticOffice(scale=0.15)
@@ -53,7 +53,7 @@ def test_only_the_first_true_pose_is_used(device: str, frames: list[Frame]) -> N
     slam, blind = made(device), made(device)
     for frame in frames:
         slam.step(frame)
-        blind.step(frame if frame.index == 0 else dataclasses.replace(frame, T_wc=lie.se3_exp([9] * 6)))
+        blind.step(frame if frame.index == 0 else dataclasses.replace(frame, T_wc=se3.se3_exp([9] * 6)))
     for a, b in zip(slam.reports, blind.reports, strict=True):
         assert (a.T_wc == b.T_wc).all() and a.gaussians == b.gaussians
 
@@ -64,7 +64,7 @@ def test_without_truth_the_first_camera_is_the_world(device: str, frames: list[F
         slam.step(dataclasses.replace(frame, T_wc=None))
     assert (slam.reports[0].T_wc == np.eye(4)).all()
     assert frames[0].T_wc is not None and frames[1].T_wc is not None
-    assert error_cm(slam.reports[1].T_wc, lie.inverse(frames[0].T_wc) @ frames[1].T_wc) < 1.0
+    assert error_cm(slam.reports[1].T_wc, se3.inverse(frames[0].T_wc) @ frames[1].T_wc) < 1.0
 
 
 def test_a_blind_start_waits_for_depth(device: str, frames: list[Frame]) -> None:
@@ -81,7 +81,7 @@ def test_covisible_keyframes_are_fitted_with_their_poses(device: str, frames: li
         CONFIG,
         mapper=dataclasses.replace(CONFIG.mapper, pose_rates=(1e-4, 1e-4)),
         policy="covisibility",
-        window=WindowConfig(interval=2, min_translation=0.0, overlap=1.0),
+        covisibility=CovisibilityConfig(interval=2, min_translation=0.0, overlap=1.0),
         use_identity=False,
     )
     slam = Slam(config, OFFICE.camera, OFFICE.camera, device=device)

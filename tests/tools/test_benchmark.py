@@ -12,11 +12,8 @@ import torch
 from rich.console import Console
 
 from benchmarking import gsplat_peer, kernels, machine, plots, scaling, system, tables, tracking
-from benchmarking.clouds import Ours, grown, situation, small_gicp_or_none
-from benchmarking.machine import Limits
-from benchmarking.options import BenchmarkError, cpu_threads, image_size
-from benchmarking.record import Check, Record, Section, read_record, write_record
-from benchmarking.scene import (
+from benchmarking.inputs.clouds import Ours, grown, situation, small_gicp_or_none
+from benchmarking.inputs.scene import (
     OBJECTS,
     covering_size,
     object_mask,
@@ -24,11 +21,14 @@ from benchmarking.scene import (
     scene_gaussians,
     scene_mapper,
 )
+from benchmarking.machine import Limits
+from benchmarking.options import BenchmarkError, cpu_threads, image_size
+from benchmarking.record import Check, Record, Section, read_record, write_record
 from benchmarking.stages import RENDERING, Stages, efforts, view_load
 from benchmarking.timing import Timing, Work, measure
 from ggwarp.datasets import SyntheticOffice
-from ggwarp.kernels import launch
 from ggwarp.ops.reference.render import project as reference_project
+from ggwarp.runtime import launch
 
 SMALL = scene_camera(64, 48)
 

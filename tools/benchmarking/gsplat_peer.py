@@ -13,11 +13,11 @@ import warp as wp
 from benchmarking.options import milliseconds
 from benchmarking.record import Check, Record, Row, Section
 from benchmarking.timing import measure
-from ggwarp.kernels.graph import GraphCache
+from ggwarp.geometry.camera import Camera
 from ggwarp.map.gaussians import SH_C0
 from ggwarp.map.renderer import Renderer
-from ggwarp.pipeline.mapper import Mapper
-from ggwarp.types import Camera
+from ggwarp.pipeline.mapping.mapper import Mapper
+from ggwarp.runtime.graphs import GraphCache
 
 _DEPTH = 3
 PICTURE_TOLERANCE, GRADIENT_TOLERANCE = 1e-3, 1e-2

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from benchmarking import gsplat_peer
+from benchmarking.inputs.scene import OBJECTS, covering_size, scene_camera, scene_gaussians, scene_mapper
 from benchmarking.machine import Limits, measure_limits
 from benchmarking.options import (
     BenchmarkError,
@@ -25,12 +26,11 @@ from benchmarking.options import (
     thread_count,
 )
 from benchmarking.record import Check, Record, Row, Section
-from benchmarking.scene import OBJECTS, covering_size, scene_camera, scene_gaussians, scene_mapper
 from benchmarking.stages import RENDERING, Stages, efforts
 from benchmarking.timing import Timing, Work, measure
 from ggwarp.config import device_name
-from ggwarp.pipeline.mapper import Mapper
-from ggwarp.types import Camera
+from ggwarp.geometry.camera import Camera
+from ggwarp.pipeline.mapping.mapper import Mapper
 
 AS_MAPPED = "forward + adjoint, as mapping does"
 STAGES, WHOLES = "stages of an iteration", "whole passes"
@@ -39,8 +39,8 @@ _KL_INTERVAL = 5  # iterations: the 3-D term's share comes round once in so many
 _BUDGET_S = 90.0
 _COMPILE = """
 import json, os, resource, sys, time
-from ggwarp.kernels import loading
-import ggwarp.pipeline.slam, ggwarp.datasets.synthetic
+from ggwarp.runtime import loading
+import ggwarp.pipeline.slam, ggwarp.datasets.built_in.synthetic
 loading.init_quietly()
 modules = loading.imported_kernel_modules(sys.argv[1])
 def cpu():

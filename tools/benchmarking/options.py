@@ -12,7 +12,7 @@ from typing import Any
 from benchmarking.machine import cores, describe
 from benchmarking.record import Record, settings_of
 from ggwarp.config import device_name
-from ggwarp.kernels import launch
+from ggwarp.runtime import launch
 
 _BUSY = 0.5  # load a core at the start from which on figures are doubtful
 

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarking.clouds import situation, tracking_sequence
+from benchmarking.inputs.clouds import situation, tracking_sequence
+from benchmarking.inputs.scene import covering_size, scene_camera, scene_gaussians, scene_mapper
 from benchmarking.machine import cores
 from benchmarking.options import Common, cpu_threads, image_size, is_cpu, milliseconds, new_record
 from benchmarking.record import Check, Record, Row, Section
-from benchmarking.scene import covering_size, scene_camera, scene_gaussians, scene_mapper
 from benchmarking.stages import view_load
 from benchmarking.timing import measure
 from benchmarking.tracking import growth

@@ -11,21 +11,21 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from benchmarking.scene import Load, load_of
-from ggwarp.kernels.adam import AdamRates, adam_gaussians
-from ggwarp.kernels.composite import composite, composite_adjoint
-from ggwarp.kernels.graph import GraphCache
-from ggwarp.kernels.loss import LOSS_COUNT, rgbd_loss
+from benchmarking.inputs.scene import Load, load_of
+from ggwarp.geometry.camera import Camera
+from ggwarp.kernels.losses.rgbd import LOSS_COUNT, rgbd_loss
 from ggwarp.kernels.math import vec16
-from ggwarp.kernels.project import intrinsics_of, project
-from ggwarp.kernels.project_adjoint import project_adjoint
-from ggwarp.kernels.tiles import bin_splats
+from ggwarp.kernels.optim.adam import AdamRates, adam_gaussians
+from ggwarp.kernels.raster.composite import composite, composite_adjoint
+from ggwarp.kernels.raster.project import intrinsics_of, project
+from ggwarp.kernels.raster.project_adjoint import project_adjoint
+from ggwarp.kernels.raster.tiles import bin_splats
+from ggwarp.kernels.workspaces import allocate_loss, allocate_slot_gradients, allocate_splats
 from ggwarp.map.gaussians import GaussianMap
 from ggwarp.map.renderer import Renderer
-from ggwarp.map.workspaces import allocate_loss
-from ggwarp.ops.workspace import allocate_slot_gradients, allocate_splats
-from ggwarp.pipeline.mapper import Mapper
-from ggwarp.types import Camera, Frame
+from ggwarp.pipeline.mapping.mapper import Mapper
+from ggwarp.runtime.graphs import GraphCache
+from ggwarp.types import Frame
 
 RENDERING = ("project", "bin", "composite", "composite adjoint", "project adjoint")
 """Forward and complete adjoint."""

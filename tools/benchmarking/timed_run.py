@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import ggwarp.run
-from ggwarp.pipeline.given_poses import GivenPoses
-from ggwarp.pipeline.hybrid import HybridTracker
-from ggwarp.pipeline.mapper import Mapper
-from ggwarp.pipeline.monocular import MonocularTracker
-from ggwarp.pipeline.photometric import PhotometricTracker
-from ggwarp.pipeline.tracker import GicpTracker
+from ggwarp.pipeline.mapping.mapper import Mapper
+from ggwarp.pipeline.tracking.gicp import GicpTracker
+from ggwarp.pipeline.tracking.given_poses import GivenPoses
+from ggwarp.pipeline.tracking.hybrid import HybridTracker
+from ggwarp.pipeline.tracking.monocular import MonocularTracker
+from ggwarp.pipeline.tracking.photometric import PhotometricTracker
 
 STAGES: dict[str, list[tuple[type, str]]] = {
     "tracking": [

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarking.clouds import (
+from benchmarking.inputs.clouds import (
     RADIUS,
     Ours,
     Peer,
@@ -24,9 +24,9 @@ from benchmarking.machine import cores
 from benchmarking.options import BenchmarkError, Common, cpu_threads, is_cpu, new_record, percent
 from benchmarking.record import Check, Record, Row, Section
 from benchmarking.timing import Timing, Work, measure
-from ggwarp import lie
 from ggwarp.config import device_name
-from ggwarp.pipeline.tracker import GicpTracker, TrackerConfig
+from ggwarp.geometry import se3
+from ggwarp.pipeline.tracking.gicp import GicpTracker, TrackerConfig
 
 BESIDE, GROWTH = "a frame beside small_gicp", "as the map grows"
 _SIZES, _QUICK_SIZES = (1, 2, 5, 10), (1, 10)
@@ -152,7 +152,7 @@ def _rows(times: dict[str, Timing], ours: Ours, peer: Peer | None, threads: int)
 def _compare(record: Record, times: dict[str, Timing], ours: Ours, peer: Peer, threads: int) -> Row:
     """Add the check on time; return how the poses differ."""
     own, other = ours.register(), peer.register()
-    apart = lie.se3_log(lie.inverse(np.asarray(other.T_target_source)) @ own.T_wc)
+    apart = se3.se3_log(se3.inverse(np.asarray(other.T_target_source)) @ own.T_wc)
     millimetres, milliradians = (1e3 * float(np.linalg.norm(part)) for part in (apart[:3], apart[3:]))
     record.checks.append(
         Check(

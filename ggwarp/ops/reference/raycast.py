@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ggwarp.kernels.primitives import BOX, FRUSTUM, RECTANGLE, SPHERE
+from ggwarp.kernels.scene.primitives import BOX, FRUSTUM, RECTANGLE, SPHERE
 
 Array = NDArray[np.float64]
 
@@ -77,7 +77,7 @@ def intersect(
     """First crossing of a primitive's surface beyond ``nearest``.
 
     Args:
-        kind: BOX, SPHERE, FRUSTUM or RECTANGLE of :mod:`ggwarp.kernels.primitives`.
+        kind: BOX, SPHERE, FRUSTUM or RECTANGLE of :mod:`ggwarp.kernels.scene.primitives`.
         centre, size: [3] metres; ``size`` half extents.
         rotation: [3, 3] world from local.
         taper: a frustum's top radius over its bottom radius.

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ggwarp import lie
+from ggwarp.geometry import se3
 
 Array = NDArray[np.float64]
 
@@ -86,7 +86,7 @@ def gicp_system(
     ):
         M = np.linalg.inv(B + R @ A @ R.T)
         e = b - R @ a - t
-        J = np.hstack([-R, R @ lie.hat(a)])
+        J = np.hstack([-R, R @ se3.hat(a)])
         w = 1.0 / (1.0 + (e @ M @ e) / robust_scale**2) ** 2
         H += w * J.T @ M @ J
         g -= w * J.T @ M @ e

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from ggwarp.types import Camera
+from ggwarp.geometry.camera import Camera
 
 SH_C0 = 0.28209479177387814
 NEAR = 0.05

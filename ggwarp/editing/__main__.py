@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command: ``ggwarp objects RUN VERB ...``."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from ggwarp.editing.command_line import EDITS, parse
+from ggwarp.editing.saved_run import RunError, load_run, save_run
+
+USER_ERROR = 2
+INTERRUPTED = 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit code: 0, 2 (the user's mistake) or 130 (Ctrl-C)."""
+    try:
+        steps = parse(list(sys.argv[1:] if arguments is None else arguments))
+        return execute(steps)
+    except RunError as error:
+        return _refuse(str(error))
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        return _refuse(f"{where}{error.strerror or error}")
+    except KeyboardInterrupt:
+        return _refuse("interrupted", INTERRUPTED)
+
+
+def execute(steps: list[argparse.Namespace]) -> int:
+    """Do what ``steps`` (see :func:`ggwarp.editing.command_line.parse`) ask for; return the exit code."""
+    first = steps[0]
+    run = load_run(first.run)
+    if first.verb == "list":
+        from ggwarp.editing.pictures import print_table
+
+        print_table(run)
+        return 0
+    if first.verb in EDITS:
+        from ggwarp.editing import actions as apply
+
+        # Refused before any work is done.
+        out = first.out or next_folder(run.folder)
+        if out.exists():
+            raise RunError(f"{out}: exists already, and nothing is overwritten; choose another --out")
+        for step in steps:
+            run = apply.apply(run, step)
+        save_run(run, out)
+        print(f"the edited map is in {out}")
+        return 0
+    from ggwarp.editing.pictures import write_extract, write_show
+
+    record = run.find(first.id)
+    folder = first.out or run.folder / "objects" / f"{record.id}-{_file_name(record.name)}"
+    (write_show if first.verb == "show" else write_extract)(run, record, first, folder)
+    return 0
+
+
+def next_folder(folder: Path) -> Path:
+    """Return the first of FOLDER-edit1, FOLDER-edit2, ... that is not there; of an edit, the next."""
+    folder = folder.resolve()
+    stem, number = re.sub(r"-edit\d+$", "", folder.name), 1
+    while (found := folder.with_name(f"{stem}-edit{number}")).exists():
+        number += 1
+    return found
+
+
+def _file_name(text: str) -> str:
+    return re.sub(r"[^\w.-]+", "_", text)
+
+
+def _refuse(message: str, code: int = USER_ERROR) -> int:
+    print(f"ggwarp objects: {message}", file=sys.stderr)
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,211 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Filling the holes that an object's removal opens.
+
+What the object hid goes with it: Gaussians that were never seen apart from it. The planes behind it
+(``holes``) are seen head-on, as the views show them (``plane_texture``); what is missing in that picture is
+inpainted and laid out as new Gaussians. Where there is no plane, depth and colour are inpainted in the views
+themselves. The new Gaussians and those at the rim are then fitted to the views, with the inpainted surfaces
+in place of the object and all else as it was.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ggwarp.editing.edits import join, remove
+from ggwarp.editing.inpaint.fitting import FitConfig, Target, fit
+from ggwarp.editing.inpaint.holes import HoleConfig, PlaneHole, find_holes, hits
+from ggwarp.editing.inpaint.image_inpainting import Inpaint, inpaint_depth, inpaint_shade
+from ggwarp.editing.inpaint.object_views import Sight, look, rays_of, share_in_the_clear
+from ggwarp.editing.inpaint.plane_texture import Surface, paint
+from ggwarp.editing.map_view import MapView, best_views
+from ggwarp.geometry import se3
+from ggwarp.geometry.camera import Camera
+from ggwarp.io.ply import PlyGaussians
+from ggwarp.map.gaussians import SH_C0
+from ggwarp.types import Float64
+
+Bools = NDArray[np.bool_]
+
+_HOLE = 0.5  # less opaque is a hole
+
+
+@dataclass(frozen=True)
+class FillConfig:
+    """How holes are filled."""
+
+    views: int = 40
+    """Views of the object that are looked at, at most."""
+    least_seen: float = 0.5
+    """Gaussians of which less was ever seen apart from the object go with it."""
+    margin: int = 24
+    """Cells round a plane's hole that the inpainter sees."""
+    spread: float = 0.6
+    """Standard deviation of a new Gaussian along the surface in units of the distance to its neighbours."""
+    flatness: float = 0.2
+    """Standard deviation along the normal, relative to that along the surface."""
+    opacity: float = 0.95
+    """Of new Gaussians."""
+    rest_views: int = 3
+    """Views in which what no plane fills is inpainted."""
+    rest_share: float = 0.01
+    """Less of the object's pixels than this share is not worth that."""
+    holes: HoleConfig = field(default_factory=HoleConfig)
+    fit: FitConfig = field(default_factory=FitConfig)
+
+
+def fill_removed(
+    whole: PlyGaussians,
+    removed: Bools,
+    camera: Camera,
+    poses: Float64,
+    *,
+    inpaint: Inpaint = inpaint_shade,
+    config: FillConfig = FillConfig(),
+    device: Any = "cpu",
+) -> tuple[PlyGaussians, int]:
+    """Return ``whole`` without the ``removed`` Gaussians, the holes behind them filled, and by how many.
+
+    The new Gaussians come last; of the others only those change that lie on a hole,
+    and only those go that do or that the object hid.
+
+    Args:
+        whole: the map.
+        removed: [n] which Gaussians go.
+        camera: of the run's images.
+        poses: [m, 4, 4] camera-to-world, from which the map was made.
+        inpaint: makes up what a picture lacks; see :mod:`ggwarp.editing.inpaint.image_inpainting`.
+    """
+    kept = remove(whole, removed)
+    view, rest = MapView(whole, camera, device=device), MapView(kept, camera, device=device)
+    indices = best_views(view, poses, removed, whole.means[removed], count=config.views)
+    if not indices or not len(kept):
+        return kept, 0
+    seen, behind = share_in_the_clear(view, rest, [poses[i] for i in indices], removed)
+    hidden = behind & (seen < config.least_seen)
+    if hidden.all():
+        return kept, 0
+    kept = remove(kept, hidden)
+    rest = MapView(kept, camera, device=device)
+    sights = [look(view, rest, poses[i], removed) for i in indices]
+    holes = find_holes(kept, sights, camera, config.holes)
+    # What lies on a hole, though no view ever saw it rightly, makes room.
+    kept = remove(kept, _over(holes, kept, config))
+    on_plane = config.holes.tolerance
+    surfaces = [paint(h, sights, camera, inpaint, margin=config.margin, tolerance=on_plane) for h in holes]
+    filled = join(kept, *(_laid_out(kept, surface, config) for surface in surfaces))
+    filled = _fill_rest(filled, sights, camera, inpaint, config, device)
+    free = _over(holes, filled, config)
+    free[len(kept) :] = True
+    targets = _targets(filled, surfaces, sights, camera, config, device)
+    return fit(filled, free, targets, camera, config.fit, device=device), len(filled) - len(kept)
+
+
+def _over(holes: list[PlaneHole], gaussians: PlyGaussians, config: FillConfig) -> Bools:
+    """Return [n] the Gaussians that lie on a hole."""
+    over = np.zeros(len(gaussians), bool)
+    for hole in holes:
+        above = hole.plane.coordinates(gaussians.means)[:, 2]
+        over |= hole.needs(gaussians.means) & (np.abs(above) < 2.0 * config.holes.reach)
+    return over
+
+
+def _laid_out(kept: PlyGaussians, surface: Surface, config: FillConfig) -> PlyGaussians:
+    """Return Gaussians that carry the hole's part of ``surface``, one a cell and a cell beyond its rim."""
+    hole = surface.hole
+    place = cv2.dilate(hole.needed.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
+    points = hole.centres(place)
+    quats = np.tile(se3.quat_from_matrix(hole.plane.axes), (len(points), 1))
+    spreads = np.full(len(points), config.spread * hole.cell)
+    return _new_gaussians(kept, points, quats, spreads, surface.colours(points), config)
+
+
+def _fill_rest(
+    filled: PlyGaussians,
+    sights: list[Sight],
+    camera: Camera,
+    inpaint: Inpaint,
+    config: FillConfig,
+    device: Any,
+) -> PlyGaussians:
+    """Fill what no plane fills from the views, one after another."""
+    for sight in sights[: config.rest_views]:
+        seen = MapView(filled, camera, device=device).render(sight.T_wc)
+        hole = sight.touched & (seen.opacity < _HOLE)
+        if hole.sum() <= config.rest_share * sight.touched.sum() or hole.all():
+            continue
+        unknown = cv2.dilate(hole.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
+        depth = inpaint_depth(seen.surface_depth, unknown | (seen.opacity < _HOLE))
+        picture = inpaint(np.rint(255.0 * seen.rgb).astype(np.uint8), unknown)
+        rows, columns = np.nonzero(hole & (depth > 0.0))
+        z = depth[rows, columns]
+        points = sight.T_wc[:3, 3] + rays_of(camera, sight.T_wc, rows, columns) * z[:, None]
+        quats = np.tile(se3.quat_from_matrix(sight.T_wc[:3, :3]), (len(points), 1))
+        spreads = config.spread * z / camera.fx
+        new = _new_gaussians(filled, points, quats, spreads, picture[rows, columns], config)
+        filled = join(filled, new)
+    return filled
+
+
+def _new_gaussians(
+    near: PlyGaussians,
+    points: Float64,
+    quats: Float64,
+    spreads: NDArray[np.floating],
+    colours: NDArray[Any],
+    config: FillConfig,
+) -> PlyGaussians:
+    """Return flat Gaussians at ``points`` [n, 3] that belong to what the nearest of ``near`` belong to.
+
+    Args:
+        quats: [n, 4] their axes, the normal last. spreads: [n] metres. colours: [n, 3] in 0..255.
+    """
+    from scipy.spatial import KDTree
+
+    n = len(points)
+    kin = KDTree(near.means).query(points)[1] if n else np.zeros(0, np.intp)
+    scales = np.stack([spreads, spreads, config.flatness * spreads], axis=1)
+    return PlyGaussians(
+        means=points.astype(np.float32),
+        quats=quats.astype(np.float32),
+        log_scales=np.log(scales).astype(np.float32),
+        opacity_logits=np.full(n, np.log(config.opacity / (1.0 - config.opacity)), np.float32),
+        colours=((colours / 255.0 - 0.5) / SH_C0).astype(np.float32),
+        object_ids=None if near.object_ids is None else near.object_ids[kin],
+        identities=None if near.identities is None else near.identities[kin],
+    )
+
+
+def _targets(
+    filled: PlyGaussians,
+    surfaces: list[Surface],
+    sights: list[Sight],
+    camera: Camera,
+    config: FillConfig,
+    device: Any,
+) -> list[Target]:
+    """Return what each view should show: the painted surfaces where the object was, all else as it is."""
+    view = MapView(filled, camera, device=device)
+    holes = [surface.hole for surface in surfaces]
+    targets = []
+    for sight in sights[: config.fit.views]:
+        seen = view.render(sight.T_wc)
+        whole = np.where(sight.touched[..., None], seen.rgb, sight.rgb)
+        rgb = np.rint(255.0 * whole).astype(np.uint8)
+        depth = np.where(sight.touched, seen.surface_depth, sight.depth)
+        rows, columns, which, along = hits(holes, sight, camera, tolerance=config.holes.tolerance)
+        points = (
+            sight.T_wc[:3, 3]
+            + rays_of(camera, sight.T_wc, rows, columns) * np.where(which >= 0, along, 0.0)[:, None]
+        )
+        for k, surface in enumerate(surfaces):
+            own = which == k
+            rgb[rows[own], columns[own]] = np.rint(surface.colours(points[own]))
+            depth[rows[own], columns[own]] = along[own]
+        targets.append(Target(sight.T_wc, rgb, depth))
+    return targets

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures of the planes behind an object: as the views saw them, and made up where none did."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ggwarp.editing.inpaint.holes import PlaneHole
+from ggwarp.editing.inpaint.image_inpainting import Inpaint, Picture
+from ggwarp.editing.inpaint.object_views import Sight, project
+from ggwarp.geometry import se3
+from ggwarp.geometry.camera import Camera
+from ggwarp.types import Float32, Float64
+
+Bools = NDArray[np.bool_]
+
+_SHARPEST = 2.0  # by this power views that show a surface better count more
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A hole's plane, painted.
+
+    Attributes:
+        hole: the plane and its cells.
+        rgb: [rows + 2 margin, columns + 2 margin, 3] its picture, a pixel a cell, rows as the cells'.
+        margin: cells round the hole's grid.
+    """
+
+    hole: PlaneHole
+    rgb: Picture
+    margin: int
+
+    def colours(self, points: Float64) -> Float32:
+        """Return [n, 3] the picture's colours (0..255) at ``points`` [n, 3] on the plane."""
+        at = (self.hole.plane.coordinates(points)[:, :2] - self.hole.low) / self.hole.cell + self.margin
+        return sampled(self.rgb, *at.T)
+
+
+def paint(
+    hole: PlaneHole, sights: list[Sight], camera: Camera, inpaint: Inpaint, *, margin: int, tolerance: float
+) -> Surface:
+    """Return the plane of ``hole`` as the views show it, seen head-on, what is missing inpainted.
+
+    Args:
+        margin: cells round the hole that the inpainter sees.
+        tolerance: what a view shows lies on the plane within this, metres and share of the depth.
+    """
+    rows, columns = (size + 2 * margin for size in hole.states.shape)
+    at = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2) - margin
+    points = hole.plane.points(hole.low + hole.cell * at)
+    total, weight = np.zeros((len(points), 3)), np.zeros(len(points))
+    for sight in sights:
+        index, colours = _shown(points, sight, camera, tolerance)
+        towards = sight.T_wc[:3, 3] - points[index]
+        distance = np.linalg.norm(towards, axis=1)
+        # Nearer and less slanted views show more of a surface.
+        share = (np.clip(towards @ hole.plane.normal / distance, 0.0, 1.0) / distance) ** _SHARPEST
+        total[index] += share[:, None] * colours
+        weight[index] += share
+    known = weight > 0.0
+    rgb = np.divide(total, weight[:, None], out=np.zeros_like(total), where=known[:, None])
+    unknown = ~known.reshape(rows, columns) | np.pad(hole.needed, margin)
+    picture = np.rint(255.0 * np.clip(rgb, 0.0, 1.0)).astype(np.uint8).reshape(rows, columns, 3)
+    return Surface(hole, inpaint(picture, unknown), margin)
+
+
+def _shown(
+    points: Float64, sight: Sight, camera: Camera, tolerance: float
+) -> tuple[NDArray[np.intp], Float32]:
+    """Return which of ``points`` [n, 3] a view shows, apart from the object, and their colours (0..1)."""
+    rows, columns, z, inside = project(camera, sight.T_wc, points)
+    mixed = cv2.dilate(sight.touched.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
+    agree = np.abs(sight.depth[rows, columns] - z) <= tolerance * (1.0 + z)
+    index = np.nonzero(inside & agree & ~mixed[rows, columns])[0]
+    x, y, z = se3.transform_points(se3.inverse(sight.T_wc), points[index]).T
+    return index, sampled(sight.rgb, camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy)
+
+
+def sampled(picture: NDArray[Any], columns: Float64, rows: Float64) -> Float32:
+    """Return [n, 3] ``picture`` [h, w, 3] between pixels, at ``columns`` and ``rows`` [n]; beyond, its rim.
+
+    OpenCV's ``remap`` takes no more than 32,767 points.
+    """
+    height, width = picture.shape[:2]
+    x, y = np.clip(columns, 0, width - 1), np.clip(rows, 0, height - 1)
+    left, top = np.minimum(x.astype(int), width - 2), np.minimum(y.astype(int), height - 2)
+    a, b = (x - left)[:, None], (y - top)[:, None]
+    upper = (1.0 - a) * picture[top, left] + a * picture[top, left + 1]
+    lower = (1.0 - a) * picture[top + 1, left] + a * picture[top + 1, left + 1]
+    return ((1.0 - b) * upper + b * lower).astype(np.float32)

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Views of a saved map: its picture, and how much of each pixel is one object."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ggwarp.geometry import se3
+from ggwarp.geometry.camera import Camera
+from ggwarp.io.ply import PlyGaussians
+from ggwarp.map.gaussians import SH_C0, GaussianBatch, GaussianMap
+from ggwarp.map.renderer import Renderer
+from ggwarp.runtime.streams import to_host
+from ggwarp.types import Float32, Float64, Rendered
+
+Bools = NDArray[np.bool_]
+
+_MOST_POSES = 150  # looked at in search of good views
+_CUT = 0.25  # what a view counts that cuts the object
+_APART = 0.25  # metres plus radians between chosen views
+
+
+def batch_of(gaussians: PlyGaussians) -> GaussianBatch:
+    """Return ``gaussians`` as a map without identities takes them."""
+    g = gaussians
+    return GaussianBatch(g.means, g.quats, g.log_scales, g.opacity_logits, g.colours)
+
+
+class MapView:
+    """Renders one map, without identities, for one camera."""
+
+    def __init__(self, gaussians: PlyGaussians, camera: Camera, *, device: Any = "cpu") -> None:
+        """Upload ``gaussians`` to ``device``."""
+        self.camera = camera
+        self._map = GaussianMap(device=device, has_identity=False, capacity=max(1, len(gaussians)))
+        self._map.append(batch_of(gaussians))
+        self._renderer = Renderer(self._map, camera)
+        self._painted = wp.zeros_like(self._map.fields["colours"])
+
+    def render(self, T_wc: Float64) -> Rendered:
+        """Return the map's view from ``T_wc`` [4, 4]."""
+        r = self._renderer
+        r.render(T_wc)
+        image = r.plane(r.image)
+        return Rendered(
+            rgb=np.ascontiguousarray(np.clip(image[:3], 0.0, 1.0).transpose(1, 2, 0)),
+            depth=image[3],
+            median_depth=r.plane(r.median_depth),
+            opacity=np.float32(1.0) - r.plane(r.transmittance),
+        )
+
+    def coverage(self, T_wc: Float64, *selections: Bools) -> Float32:
+        """Return [k, h, w] how much of each pixel is made of each of up to three ``selections`` [n].
+
+        It is the selection's share of the blended picture, 0..1, with all that hides it in place.
+        """
+        paint = np.zeros((self._map.capacity, 3), np.float32)
+        for channel, selected in enumerate(selections):
+            paint[: self._map.count, channel] = selected
+        with self._painted_with((paint - 0.5) / SH_C0):
+            self._renderer.render(T_wc)
+        return self._renderer.plane(self._renderer.image)[: len(selections)]
+
+    def weights(self, T_wc: Float64, *pixels: Bools) -> Float32:
+        """Return [k, n] how many pixels' worth of picture each Gaussian makes up, in each of ``pixels``.
+
+        They are sums of blending weights, all that hides a Gaussian in place: a colour's gradient of the
+        picture's sum.
+
+        Args:
+            T_wc: [4, 4] camera-to-world.
+            pixels: each [h, w], the pixels that count; up to three.
+        """
+        r, camera = self._renderer, self.camera
+        d_image = np.zeros(r.d_image.shape, np.float32)
+        for channel, counted in enumerate(pixels):
+            d_image[channel, : camera.height, : camera.width] = counted
+        # A colour at which none is cut off at black, where it would have no gradient.
+        with self._painted_with(np.zeros((self._map.capacity, 3), np.float32)):
+            r.render(T_wc)
+            r.d_image.assign(d_image)
+            r.adjoint(r.pose_array(T_wc))
+        shown = to_host(r.ranks)[: self._map.count] >= 0
+        found = to_host(r.gradients.colours)[: self._map.count].T[: len(pixels)] / SH_C0
+        return np.where(shown, found, np.float32(0.0))
+
+    @contextmanager
+    def _painted_with(self, colours: Float32) -> Iterator[None]:
+        """Have the Gaussians ``colours`` [capacity, 3] for a while."""
+        fields, own = self._map.fields, self._map.fields["colours"]
+        self._painted.assign(colours)
+        fields["colours"] = self._painted
+        try:
+            yield
+        finally:
+            fields["colours"] = own
+
+
+def best_views(view: MapView, poses: Float64, selected: Bools, points: Float32, *, count: int) -> list[int]:
+    """Return up to ``count`` of ``poses`` that show the selected Gaussians largest and from several sides.
+
+    Args:
+        poses: [m, 4, 4] camera-to-world.
+        selected: [n] which Gaussians of the map.
+        points: [k, 3] their centres.
+
+    Returns:
+        Indices into ``poses``, best first; none when no pose shows them.
+    """
+    inside = [i for i, T_wc in enumerate(poses) if _in_sight(view.camera, T_wc, points)]
+    inside = inside[:: -(-len(inside) // _MOST_POSES)] if inside else []
+    areas = {i: _shown_area(view.coverage(poses[i], selected)[0]) for i in inside}
+    chosen: list[int] = []
+    for i in sorted(areas, key=lambda i: -areas[i]):
+        if len(chosen) < count and areas[i] > 0.0 and all(_apart(poses[i], poses[j]) for j in chosen):
+            chosen.append(i)
+    return chosen
+
+
+def crop_to(mask: Bools, *, margin: int) -> tuple[slice, slice]:
+    """Return rows and columns of the box round ``mask`` [h, w], ``margin`` wider; all if it is empty."""
+    if not mask.any():
+        return slice(None), slice(None)
+    rows, columns = np.nonzero(mask.any(axis=1))[0], np.nonzero(mask.any(axis=0))[0]
+    return (
+        slice(max(0, int(rows[0]) - margin), int(rows[-1]) + 1 + margin),
+        slice(max(0, int(columns[0]) - margin), int(columns[-1]) + 1 + margin),
+    )
+
+
+def _in_sight(camera: Camera, T_wc: Float64, points: Float32) -> bool:
+    x, y, z = se3.transform_points(se3.inverse(T_wc), points[:: max(1, len(points) // 500)]).T
+    front = z > 0.1
+    z = np.where(front, z, 1.0)
+    u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+    return bool((front & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)).any())
+
+
+def _shown_area(coverage: Float32) -> float:
+    """Pixels covered; less where the image's border cuts the object."""
+    area = float(coverage.sum())
+    edges = (coverage[0], coverage[-1], coverage[:, 0], coverage[:, -1])
+    cut = sum(float(edge.sum()) for edge in edges)
+    return area if area > 10.0 * cut else area * _CUT
+
+
+def _apart(one: Float64, other: Float64) -> bool:
+    between = se3.se3_log(se3.inverse(one) @ other)
+    return float(np.linalg.norm(between[:3]) + np.linalg.norm(between[3:])) > _APART

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A run folder read back: the map, its objects and what is needed to render it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ggwarp.geometry.camera import Camera
+from ggwarp.io.camera import read_camera, write_camera
+from ggwarp.io.json import write_json
+from ggwarp.io.ply import PlyGaussians, read_ply, write_ply
+from ggwarp.io.trajectory import read_tum
+from ggwarp.objects.inventory import ObjectRecord, refreshed
+from ggwarp.objects.linear_classifier import LinearClassifier, read_classifier, write_classifier
+from ggwarp.types import Float64
+
+_NEEDED = ("map.ply", "objects.json", "camera.json", "trajectory.txt")
+_COPIED = ("config.toml", "trajectory.txt", "trajectory_gt.txt")
+
+
+class RunError(ValueError):
+    """A run folder or an edit cannot be used: one line with what is wrong and the remedy."""
+
+
+@dataclass(frozen=True)
+class SavedRun:
+    """What a run left that edits and renders need.
+
+    Attributes:
+        folder: where it was read from.
+        gaussians: the map.
+        objects: the map's objects, by id.
+        camera: of the run's images.
+        poses: [n, 4, 4] camera-to-world, one a frame of the run.
+        classifier: what tells identities apart; None where the run learnt none.
+        edits: what was done to the map since the run, in order.
+    """
+
+    folder: Path
+    gaussians: PlyGaussians
+    objects: tuple[ObjectRecord, ...]
+    camera: Camera
+    poses: Float64
+    classifier: LinearClassifier | None = None
+    edits: tuple[dict[str, Any], ...] = ()
+
+    def find(self, name: str) -> ObjectRecord:
+        """Return the object that ``name`` means: an id, or else a label, or else a class.
+
+        Raises:
+            RunError: no object, or more than one.
+        """
+        fold = name.casefold()
+        for matches in (
+            [o for o in self.objects if str(o.id) == name],
+            [o for o in self.objects if o.label is not None and o.label.casefold() == fold],
+            [o for o in self.objects if o.class_name is not None and o.class_name.casefold() == fold],
+        ):
+            if len(matches) == 1:
+                return matches[0]
+            if matches:
+                ids = ", ".join(str(o.id) for o in matches)
+                raise RunError(f"{name}: {len(matches)} objects have this name; give one of the ids {ids}")
+        raise RunError(f"{name}: {self.folder} has no such object; `list` shows those there are")
+
+    def edited(self, gaussians: PlyGaussians, edit: dict[str, Any]) -> SavedRun:
+        """Return this run with ``gaussians`` for a map, its objects described anew, and ``edit`` recorded."""
+        objects = refreshed(list(self.objects), gaussians.means, gaussians.colours, gaussians.object_ids)
+        return dataclasses.replace(
+            self, gaussians=gaussians, objects=tuple(objects), edits=(*self.edits, edit)
+        )
+
+
+def load_run(folder: str | Path) -> SavedRun:
+    """Read a run folder.
+
+    Raises:
+        RunError: it is none, a file is missing or damaged, or the map knows no objects.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise RunError(f"{folder}: no such folder; give a run folder, such as runs/latest")
+    for name in _NEEDED:
+        if not (folder / name).is_file():
+            raise RunError(f"{folder}: has no {name}, so it is no run folder of this version")
+    try:
+        gaussians = read_ply(folder / "map.ply")
+        camera = read_camera(folder / "camera.json")
+        _, poses = read_tum(folder / "trajectory.txt")
+        file = folder / "classifier.npz"
+        classifier = read_classifier(file) if file.is_file() else None
+    except ValueError as error:
+        raise RunError(str(error)) from None
+    objects, edits = _read_objects(folder / "objects.json")
+    if gaussians.object_ids is None:
+        raise RunError(f"{folder}: its map knows no objects; run the sequence with masks")
+    return SavedRun(folder, gaussians, objects, camera, poses, classifier, edits)
+
+
+def save_run(run: SavedRun, folder: str | Path) -> None:
+    """Write ``run`` as a new run folder, with ``edits`` and what they were applied to in ``objects.json``.
+
+    Metrics, renders and the table of frames are of the unedited map: they are not copied.
+
+    Raises:
+        RunError: ``folder`` exists.
+        OSError: it cannot be written.
+    """
+    folder = Path(folder)
+    if folder.exists():
+        raise RunError(f"{folder}: exists already, and nothing is overwritten; choose another --out")
+    folder.mkdir(parents=True)
+    for name in _COPIED:
+        if (run.folder / name).is_file():
+            shutil.copyfile(run.folder / name, folder / name)
+    write_camera(folder / "camera.json", run.camera)
+    write_ply(folder / "map.ply", **vars(run.gaussians))
+    if run.classifier is not None:
+        write_classifier(folder / "classifier.npz", run.classifier)
+    entries = [record.to_json() for record in run.objects]
+    source = str(run.folder.resolve())
+    write_json(folder / "objects.json", {"objects": entries, "edited_from": source, "edits": run.edits})
+
+
+def _read_objects(path: Path) -> tuple[tuple[ObjectRecord, ...], tuple[dict[str, Any], ...]]:
+    try:
+        values = json.loads(path.read_text())
+        objects = tuple(ObjectRecord.from_json(entry) for entry in values["objects"])
+        return objects, tuple(values.get("edits", ()))
+    except (KeyError, TypeError, ValueError, AttributeError):
+        raise RunError(f"{path}: is not as this version writes it; run the sequence again") from None

@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Boxes around an object's Gaussians: along the world's axes, and along its own.
+
+Both are of an object's main parts (:func:`main_parts`) and trimmed: a stray Gaussian, such as one of
+the wall that a ragged mask gave to the lamp before it, must not decide a box.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ggwarp.geometry import se3
+from ggwarp.types import Float64
+
+Vector = tuple[float, float, float]
+
+_TRIM = 1.0  # percent at either end of an axis
+_LINK = 3.0  # median distances to the nearest neighbour: closer points are one part
+_LEAST_PART = 0.02  # of the points, and three of them; a smaller part is stray
+_POINTS = 4000  # points a hull is made of at most
+
+
+@dataclass(frozen=True)
+class Box:
+    """A box along the world's axes: its ``low`` and ``high`` corners, metres."""
+
+    low: Vector
+    high: Vector
+
+
+@dataclass(frozen=True)
+class OrientedBox:
+    """A box along an object's own axes, the longest first.
+
+    Attributes:
+        centre: its middle, metres, world frame.
+        quat: rotation from the box's axes to the world's, w first.
+        half_sizes: metres, falling.
+    """
+
+    centre: Vector
+    quat: tuple[float, float, float, float]
+    half_sizes: Vector
+
+    @property
+    def axes(self) -> Float64:
+        """[3, 3] the box's axes in the world frame, as columns."""
+        return se3.matrix_from_quat(self.quat)
+
+
+def main_parts(points: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """Return [n] which of ``points`` [n, 3] lie in a large enough part of their cloud.
+
+    Points closer than three median neighbour distances are one part; a part counts with at least a
+    fiftieth of the points and three of them, and the largest always does.
+    """
+    if len(points) < 4:
+        return np.ones(len(points), bool)
+    from scipy.spatial import KDTree  # heavy, and only needed once a map is described
+
+    tree: Any = KDTree(points)
+    nearest = tree.query(points, k=2)[0][:, 1]
+    parts = linked_parts(tree, max(_LINK * float(np.median(nearest)), 1e-6))
+    sizes = np.bincount(parts)
+    return (sizes >= min(max(_LEAST_PART * len(points), 3), sizes.max()))[parts]
+
+
+def linked_parts(tree: Any, link: float) -> NDArray[np.int32]:
+    """Return [n] the part, from 0 on, of each point of a ``scipy.spatial.KDTree``.
+
+    Points within ``link`` of each other are of one part.
+    """
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    pairs = tree.query_pairs(link, output_type="ndarray")
+    links = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(tree.n, tree.n))
+    return np.asarray(connected_components(links, directed=False)[1], np.int32)
+
+
+def axis_aligned_box(points: NDArray[np.floating]) -> Box:
+    """Return the box between the 1st and 99th percentile of ``points`` [n, 3], n > 0, on each axis."""
+    low, high = np.percentile(points, [_TRIM, 100.0 - _TRIM], axis=0)
+    return Box(_vector(low), _vector(high))
+
+
+def oriented_box(points: NDArray[np.floating]) -> OrientedBox:
+    """Return the smallest box found around ``points`` [n, 3], n > 0, metres.
+
+    One side lies flush with a face of the points' convex hull, and the box is the smallest rectangle
+    round their shadow on it; no direction is taken for gravity's. Sides are trimmed like
+    :func:`axis_aligned_box`'s. Points on a line or fewer than four have their principal axes.
+    """
+    points = np.asarray(points, np.float64)
+    principal = _principal_axes(points)
+    core = _trimmed(points, principal)
+    flush = _flush_axes(core)
+    axes, half, centre = _measured(points, principal if flush is None else flush)
+    order = np.argsort(-half, kind="stable")
+    axes, half = axes[:, order], half[order]
+    # An axis has no sign of its own: fix it, so that the same points give the same box.
+    axes = axes * np.where(axes[np.abs(axes).argmax(0), range(3)] < 0.0, -1.0, 1.0)
+    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    w, x, y, z = se3.quat_from_matrix(axes).tolist()
+    return OrientedBox(_vector(centre), (w, x, y, z), _vector(half))
+
+
+def _vector(values: NDArray[np.floating]) -> Vector:
+    x, y, z = (float(v) for v in values)
+    return x, y, z
+
+
+def _principal_axes(points: Float64) -> Float64:
+    if len(points) < 2:
+        return np.eye(3)
+    return np.linalg.eigh(np.cov(points, rowvar=False))[1]
+
+
+def _measured(points: Float64, axes: Float64) -> tuple[Float64, Float64, Float64]:
+    """Return the axes, half sizes and world centre of the trimmed box along ``axes``."""
+    low, high = np.percentile(points @ axes, [_TRIM, 100.0 - _TRIM], axis=0)
+    return axes, np.maximum(0.5 * (high - low), 1e-6), axes @ (0.5 * (high + low))
+
+
+def _trimmed(points: Float64, axes: Float64) -> Float64:
+    local = points @ axes
+    low, high = np.percentile(local, [_TRIM, 100.0 - _TRIM], axis=0)
+    core = points[((local >= low) & (local <= high)).all(axis=1)]
+    return core[:: -(-len(core) // _POINTS)] if len(core) else core
+
+
+def _flush_axes(points: Float64) -> Float64 | None:
+    """Return the axes of the smallest box with a side flush with a face of the hull of ``points``.
+
+    None where the points lie on a plane or there are too few.
+    """
+    from scipy.spatial import ConvexHull, QhullError  # heavy, and only needed once a map is described
+
+    try:
+        hull = ConvexHull(points)
+    except (QhullError, ValueError):
+        return None
+    normals = hull.equations[:, :3]
+    normals = np.unique(np.round(normals * np.where(normals[:, :1] < 0.0, -1.0, 1.0), 2), axis=0)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    across = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    frames = np.stack([across, np.cross(normals, across), normals], axis=2)
+    local = (points[hull.vertices] - points[hull.vertices[0]]) @ frames
+    # In millimetres, as OpenCV rounds small rectangles.
+    shadows = (1000.0 * local[:, :, :2]).astype(np.float32)
+    rectangles = [cv2.minAreaRect(shadow) for shadow in shadows]
+    areas = np.array([w * h for _, (w, h), _ in rectangles])
+    best = int((areas * np.ptp(local[:, :, 2], axis=1)).argmin())
+    return frames[best] @ se3.so3_exp([0.0, 0.0, np.radians(rectangles[best][2])])

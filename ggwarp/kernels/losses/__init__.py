@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What rendered images are fitted by: colour, SSIM and depth losses, and their gradients."""

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures to renders: direct alignment, image pyramids, exposure."""

@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Masks against the map: which object carries a wrong id in a frame.
+
+A tracker that swaps two ids, loses an object or revives it under another id is wrong about a whole object at
+once. The map remembers what each place of the object was called before: one frame cannot rename it, more
+frames than those that called it so can, unless these were several: a track that slips to another object for
+good takes nothing with it.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ggwarp.geometry.voxels import cell_numbers
+from ggwarp.objects.labels import Labels, contingency, ranked, thinned
+from ggwarp.objects.tentative import View
+
+_CELL = 0.25  # metres
+_LEAST_PIXELS = 20
+_MAJORITY = 0.5
+_CLEAR = 0.8
+_ESTABLISHED = 4
+"""What came under its object's own name in so many views keeps it: the tracker's ids went astray."""
+
+
+class LabelHistory:
+    """How often each place of each object of the map carried which label, in views.
+
+    By place, as an object begun under another's id is not that other because that one often came.
+    """
+
+    def __init__(self) -> None:
+        self._views: Counter[tuple[int, int, int]] = Counter()  # (cell, object, label)
+
+    def overruled(
+        self, known: Labels, given: Labels, view: View, *, anew: bool = True
+    ) -> list[tuple[int, int]]:
+        """Take in a view; return (object, label) where its label is to be disbelieved.
+
+        Args:
+            known: [h, w] the map's class where it is sure, else negative.
+            given: [h, w] the class that the mask gives.
+            view: where the pixels are.
+            anew: count the view; False: it was taken in before.
+        """
+        grid = np.zeros(known.shape, bool)
+        grid[thinned(*known.shape)] = True
+        pixels = grid & (known >= 0) & (given >= 0) & (view.depth > 0.0)
+        objects, labels = known[pixels], given[pixels]
+        places = _places(cell_numbers(view.every_point(pixels), _CELL), objects, labels)
+        if anew:
+            self._views.update(places.labelled)
+        table = contingency(objects, labels, max(objects.max(initial=0), labels.max(initial=0)) + 1)
+        sizes = table.sum(axis=1)
+        wrong: list[tuple[int, int]] = []
+        for m in np.nonzero(sizes >= _LEAST_PIXELS)[0].tolist():
+            label = int(table[m].argmax())
+            if label == m or table[m, label] <= _MAJORITY * sizes[m]:
+                continue
+            own, other = (self._mean_views(places, m, name) for name in (m, label))
+            # Its own name came at least once: with the keyframe that made it.
+            if own >= _ESTABLISHED or other <= max(own, 1.0):
+                wrong.append((m, label))
+        return wrong
+
+    def join(self, kept: int, gone: int) -> None:
+        """Count what was seen of class ``gone`` for ``kept``."""
+        for place, m, label in [key for key in self._views if gone in key[1:]]:
+            key = place, kept if m == gone else m, kept if label == gone else label
+            self._views[key] += self._views.pop((place, m, label))
+
+    def _mean_views(self, places: _Places, m: int, label: int) -> float:
+        """Return in how many views what is seen of object ``m`` was called ``label``, by pixel."""
+        mine = places.objects == m
+        views = [self._views[place, m, label] for place in places.cells[mine].tolist()]
+        return float(np.average(views, weights=places.sizes[mine]))
+
+
+@dataclass(frozen=True)
+class _Places:
+    """The places at which a view shows objects of the map.
+
+    Attributes:
+        cells, objects, sizes: [k] cell, object and number of pixels of each.
+        labelled: (cell, object, label) where most of these pixels have one label.
+    """
+
+    cells: NDArray[np.int64]
+    objects: NDArray[np.int64]
+    sizes: NDArray[np.int64]
+    labelled: list[tuple[int, int, int]]
+
+
+def _places(cells: NDArray[np.int64], objects: Labels, labels: Labels) -> _Places:
+    """Sort pixels, [n] each, by place."""
+    numbers, ranks = ranked(cells)
+    size = int(max(objects.max(initial=0), labels.max(initial=0))) + 1
+    keys, counts = np.unique((ranks * size + objects) * size + labels, return_counts=True)
+    pairs, of_pair = np.unique(keys // size, return_inverse=True)
+    sizes = np.bincount(of_pair, counts, minlength=len(pairs)).astype(np.int64)
+    ranks, owners = np.divmod(pairs, size)
+    most = counts > _MAJORITY * sizes[of_pair]
+    labelled = zip(
+        numbers[ranks][of_pair[most]].tolist(),
+        owners[of_pair[most]].tolist(),
+        (keys[most] % size).tolist(),
+        strict=True,
+    )
+    return _Places(numbers[ranks], owners, sizes, list(labelled))
+
+
+def corrected(known: Labels, given: Labels, wrong: list[tuple[int, int]]) -> Labels:
+    """Return ``given`` with the labels in ``wrong`` replaced by what the map knows.
+
+    Where the map knows nothing, a part of the label follows what it hangs together with, when that is
+    clearly one object; else it becomes unknown.
+    """
+    out = given.copy()
+    for m, label in wrong:
+        out[(known == m) & (given == label)] = m
+    for label in sorted({label for _, label in wrong}):
+        parts = cv2.connectedComponents((given == label).astype(np.uint8), connectivity=4)[1]
+        owners = _owners(parts, known)
+        free = (parts > 0) & (known < 0)
+        out[free] = owners[parts[free]]
+    return out
+
+
+def _owners(parts: NDArray[np.int32], known: Labels) -> Labels:
+    """Return the object to which each part clearly belongs; -1: none, or several."""
+    count = int(parts.max()) + 1
+    owners = np.full(count, -1, np.int32)
+    inside = (parts > 0) & (known >= 0)
+    part, objects = parts[inside], known[inside]
+    if part.size == 0:
+        return owners
+    classes = int(objects.max()) + 1
+    table = np.bincount(part.astype(np.int64) * classes + objects, minlength=count * classes)
+    table = table.reshape(count, classes)
+    best = table.argmax(axis=1).astype(np.int32)
+    clear = table.max(axis=1) > _CLEAR * table.sum(axis=1)
+    return np.where(clear, best, owners)

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Densification by gradients and the opacity reset, as in 3-D Gaussian Splatting and MonoGS.
+
+A Gaussian whose projection the loss keeps pulling to and fro covers what one Gaussian cannot show: it is
+doubled where it is small, and split in two where it is large.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ggwarp.kernels.optim.adam import OPACITY_LANE
+from ggwarp.map.gaussians import GaussianBatch, GaussianMap
+from ggwarp.runtime.streams import to_host
+
+
+@dataclass(frozen=True)
+class DensifyConfig:
+    """When Gaussians multiply, and when opacities begin anew."""
+
+    interval: int = 0
+    """Gaussians multiply every so many iterations (MonoGS: 150); 0: seeding alone adds any."""
+    offset: int = 50
+    """Not before so many."""
+    threshold: float = 2e-4
+    """Gaussians multiply whose projected mean has a larger gradient, in the mean over the iterations that
+    showed them; the image is 2 wide and 2 high."""
+    split_scale: float = 0.03
+    """Those with a larger standard deviation are split, metres; smaller ones are doubled."""
+    shrink: float = 1.6
+    """The parts of a split Gaussian are smaller by this factor."""
+    reset_interval: int = 0
+    """Opacities of Gaussians that the window does not see are lowered every so many iterations (MonoGS:
+    2001); 0: never."""
+    reset_opacity: float = 0.4
+    """... to this, where they are higher."""
+
+
+def multiply(gaussians: GaussianMap, config: DensifyConfig, rng: np.random.Generator) -> int:
+    """Double or split the Gaussians that are pulled most, and count pulls anew; return how many they were.
+
+    Args:
+        gaussians: written; ``pulls`` and ``pull_counts`` say how each was pulled.
+        rng: draws where the parts of a split Gaussian lie.
+    """
+    count, fields = gaussians.count, gaussians.fields
+    pulls, counts = (to_host(fields[n])[:count] for n in ("pulls", "pull_counts"))
+    pulled = pulls > config.threshold * np.maximum(counts, 1)
+    fields["pulls"].zero_()
+    fields["pull_counts"].zero_()
+    if not pulled.any():
+        return 0
+    rows = gaussians.to_host() | {
+        n: to_host(fields[n])[:count].copy() for n in ("births", "votes") if n in fields
+    }
+    large = pulled & (np.exp(rows["log_scales"].max(axis=1)) > config.split_scale)
+    doubled = {n: values[pulled & ~large] for n, values in rows.items()}
+    parts = {n: np.repeat(values[large], 2, axis=0) for n, values in rows.items()}
+    offsets = np.exp(parts["log_scales"]) * rng.standard_normal(parts["means"].shape)
+    parts["means"] = (parts["means"] + _turned(parts["quats"], offsets)).astype(np.float32)
+    parts["log_scales"] = parts["log_scales"] - np.float32(math.log(config.shrink))
+    gaussians.append(GaussianBatch(**{n: np.concatenate([doubled[n], parts[n]]) for n in rows}))
+    flags = np.ones(gaussians.count, np.int32)
+    flags[:count] = ~large
+    gaussians.keep(wp.array(flags, dtype=int, device=gaussians.device))
+    return int(np.count_nonzero(pulled))
+
+
+def _turned(quats: NDArray[np.float32], vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return ``vectors`` [n, 3] turned by the unit quaternions ``quats`` [n, 4], w first."""
+    w, axis = quats[:, :1].astype(np.float64), quats[:, 1:].astype(np.float64)
+    across = 2.0 * np.cross(axis, vectors)
+    return vectors + w * across + np.cross(axis, across)
+
+
+def lower_opacities(gaussians: GaussianMap, seen: NDArray[np.bool_], opacity: float) -> None:
+    """Lower the opacity of the Gaussians that are not ``seen`` [count] to ``opacity``, where it is higher.
+
+    Those whose opacity changes forget its moments.
+    """
+    most = math.log(opacity / (1.0 - opacity))
+    logits = to_host(gaussians.fields["opacity_logits"]).copy()
+    changed = np.zeros(len(logits), bool)
+    changed[: gaussians.count] = ~seen & (logits[: gaussians.count] > most)
+    logits[changed] = most
+    gaussians.fields["opacity_logits"].assign(logits)
+    for name in ("first", "second"):
+        array: Any = gaussians.fields[name]
+        moments = to_host(array).copy()
+        moments[changed, OPACITY_LANE] = 0.0
+        array.assign(moments)

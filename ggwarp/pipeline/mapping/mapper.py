@@ -1,0 +1,317 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Mapping: keyframes enter the map, and iterations fit the map to the keyframes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ggwarp.geometry.camera import Camera
+from ggwarp.io.ply import PlyGaussians
+from ggwarp.map.covisibility import Covisibility
+from ggwarp.map.gaussians import GaussianMap
+from ggwarp.map.renderer import Renderer
+from ggwarp.objects.class_table import NO_OBJECT, ClassTable
+from ggwarp.objects.classifier import Classifier
+from ggwarp.objects.inventory import ObjectRecord, inventory
+from ggwarp.objects.linear_classifier import LinearClassifier
+from ggwarp.objects.mask_supervision import ObjectSupervision, SupervisionConfig
+from ggwarp.objects.visibility import Sightings
+from ggwarp.pipeline.mapping.densification import lower_opacities
+from ggwarp.pipeline.mapping.depth_completion import DepthGuessConfig, DepthGuesser
+from ggwarp.pipeline.mapping.exposure import estimate_exposure
+from ggwarp.pipeline.mapping.keyframe import upload
+from ggwarp.pipeline.mapping.keyframe_sampler import Drawing, RandomDrawing, WindowDrawing
+from ggwarp.pipeline.mapping.keyframe_window import WindowConfig, unconfirmed
+from ggwarp.pipeline.mapping.optimiser import FitConfig, Fitter
+from ggwarp.pipeline.mapping.seeding import SeedingConfig, seed_density, seed_gaussians
+from ggwarp.runtime.streams import to_host
+from ggwarp.types import Exposure, Float32, Float64, Frame, Rendered
+
+
+@dataclass(frozen=True)
+class MapperConfig(FitConfig):
+    """How the map is built and fitted."""
+
+    iterations: int = 10
+    """Mapping iterations a frame (synchronous mode)."""
+    bootstrap: int = 0
+    """More iterations on the first keyframe, for trackers that look at the map it makes."""
+    seeding: SeedingConfig = field(default_factory=SeedingConfig)
+    depth_guess: DepthGuessConfig = field(default_factory=DepthGuessConfig)
+    supervision: SupervisionConfig = field(default_factory=SupervisionConfig)
+    object_probability: float = 0.3
+    """A Gaussian belongs to its likeliest object when that is likelier than this (Gaussian Grouping)."""
+    seed: int = 0
+    """Of the random choice of keyframes and identities."""
+
+
+class Mapper:
+    """The map's only writer.
+
+    Attributes:
+        map: the Gaussians.
+        classes: the masks' ids as classes.
+        classifier: identity -> class; None without identities.
+        covisibility: what a pose sees of the map; None without a window.
+        sightings: which keyframes showed which class.
+        keyframe_indices: frames that were ever used for mapping.
+        watched_indices: frames whose mask voted, but that were not mapped.
+    """
+
+    def __init__(
+        self,
+        config: MapperConfig,
+        camera: Camera,
+        *,
+        device: Any,
+        use_identity: bool,
+        tracked_masks: bool = True,
+        window: WindowConfig | None = None,
+        monocular: bool = False,
+        recorded: bool | None = None,
+    ) -> None:
+        """Build an empty map.
+
+        Args:
+            camera: of the keyframes' images.
+            tracked_masks: whether the masks' ids mean the same object in every frame.
+            window: fit the keyframes of a covisible window together; None: draw from all.
+            monocular: frames have no depth, or an estimate: it seeds the map, but does not bind it.
+            recorded: record iterations as graphs and replay them; the default does on CUDA alone: on the CPU
+                a recording runs on one thread. The map is the same to the bit.
+        """
+        self._config = config
+        self._camera = camera
+        self._device = wp.get_device(device)
+        # Two streams: identities must not change which keyframes are drawn.
+        self._rng = np.random.default_rng(config.seed)
+        self._identity_rng = np.random.default_rng((config.seed, 3))
+        self.map = GaussianMap(device=device, has_identity=use_identity)
+        self.classes = ClassTable()
+        self.classifier = Classifier(config.classifier, self.map, seed=config.seed) if use_identity else None
+        self.sightings = Sightings()
+        self.watched_indices: list[int] = []
+        self._others = self._turns = 0
+        self._supervision = (
+            ObjectSupervision(
+                config.supervision,
+                camera,
+                self.map,
+                self.classes,
+                self.classifier,
+                tracked=tracked_masks,
+            )
+            if self.classifier is not None
+            else None
+        )
+        self._renderer = Renderer(self.map, camera, identity_shapes=config.classifier.shapes)
+        self.covisibility = None if window is None else Covisibility(self.map, camera)
+        self._guesser = DepthGuesser(config.depth_guess, camera) if monocular else None
+        self._drawing = self._make_drawing(window)
+        self._fitter = Fitter(
+            config, self.map, self._renderer, self.classifier, self._drawing, recorded=recorded
+        )
+
+    @property
+    def ready(self) -> bool:
+        """Whether there is anything to fit."""
+        return bool(self._fitter.keyframes) and self.map.count > 0
+
+    @property
+    def keyframe_indices(self) -> list[int]:
+        return [keyframe.index for keyframe in self._fitter.keyframes]
+
+    def insert(self, frame: Frame, T_wc: Float64, exposure: Exposure | None = None) -> None:
+        """Make ``frame`` a keyframe and add the Gaussians that it shows and the map lacks.
+
+        Args:
+            T_wc: [4, 4] its pose.
+            exposure: of its picture as tracking found it, if it did.
+        """
+        rendered = self.render(T_wc) if self.map.count else None
+        if self._guesser is not None and frame.depth is None:
+            assert rendered is not None
+            frame = replace(frame, depth=self._guesser.guess(frame, T_wc, rendered))
+        assert frame.depth is not None
+        exposure = self._exposure(frame, rendered, exposure)
+        lesson = None
+        if self._supervision is not None:
+            lesson = self._supervision.teach(frame, T_wc, rendered)
+        if lesson is not None:
+            self.sightings.add(frame.index, lesson.labels)
+        density = seed_density(frame, rendered, self._config.seeding, exposure)
+        batch = seed_gaussians(
+            frame,
+            T_wc,
+            self._camera,
+            density,
+            self._config.seeding,
+            codes=None if self.classifier is None else self.classifier.codes,
+            lesson=lesson,
+            rng=self._identity_rng,
+            exposure=exposure,
+            birth=len(self._fitter.keyframes),
+        )
+        self.map.append(batch)
+        targets = None if lesson is None or frame.mask is None else lesson.targets
+        if self._guesser is not None:
+            frame = replace(frame, depth=None)
+        self._fitter.add(upload(frame, T_wc, targets, exposure, device=self._device))
+        self._confirm()
+
+    def _confirm(self) -> None:
+        """Remove what too few keyframes of a full window see."""
+        drawing, look = self._drawing, None if self.covisibility is None else self.covisibility.look
+        if look is None or not isinstance(drawing, WindowDrawing) or not drawing.full:
+            return
+        confirmations = drawing.config.confirmations
+        if confirmations == 0:
+            return
+        sights = {number: look(self.keyframe_pose(number)).seen for number in drawing.window}
+        births = to_host(self.map.fields["births"])[: self.map.count]
+        kept = ~unconfirmed(births, sights, confirmations)
+        self.map.keep(wp.array(kept.astype(np.int32), dtype=int, device=self._device))
+
+    def remember(self, frame: Frame, T_wc: Float64, *, hurried: bool = False) -> None:
+        """Take in any frame, a keyframe or not, tracked at ``T_wc`` [4, 4]; every one, in order.
+
+        It is kept for the depth of later ones, and its mask may vote.
+
+        Args:
+            hurried: leave objects as they are, as there is no time.
+        """
+        if self._guesser is not None:
+            self._guesser.remember(frame, T_wc)
+        if not hurried and self._supervision is not None and self._config.supervision.votes > 0:
+            self._watch(self._supervision, frame, T_wc)
+
+    def _watch(self, supervision: ObjectSupervision, frame: Frame, T_wc: Float64) -> None:
+        """Let the mask of a frame that is no keyframe vote, and look at a keyframe again, in turn."""
+        c, keyframes = self._config.supervision, self._fitter.keyframes
+        if not keyframes or not self.map.count:
+            return
+        if frame.index != keyframes[-1].index and frame.mask is not None and c.watch > 0:
+            self._others += 1
+            if self._others % c.watch != 0:
+                supervision.teach(frame, T_wc, self.render(T_wc), keep=False)
+                self.watched_indices.append(frame.index)
+        self._turns += 1
+        if c.revise > 0 and self._turns % c.revise == 0:
+            number = self._turns // c.revise % len(keyframes)
+            again, T_wc = keyframes[number], self._fitter.pose(number)
+            past = replace(frame, index=again.index, depth=to_host(again.depth), mask=None)
+            targets = supervision.revise(past, T_wc, self.render(T_wc))
+            if targets is not None and again.labels is not None:
+                again.labels.assign(targets)
+
+    def iterate(self) -> None:
+        """Fit the map to one keyframe once; on CUDA, queue it: the host reads nothing."""
+        self._fitter.iterate()
+        c = self._config.densify
+        if c.reset_interval > 0 and self._fitter.iterations % c.reset_interval == 0:
+            self._lower_opacities(c.reset_opacity)
+
+    def _lower_opacities(self, opacity: float) -> None:
+        """Lower those of the Gaussians that the window, or without one the newest keyframe, does not see."""
+        newest = len(self._fitter.keyframes) - 1
+        window = self._drawing.window if isinstance(self._drawing, WindowDrawing) else [newest]
+        sees = self.covisibility or Covisibility(self.map, self._camera)
+        seen = np.any([sees.look(self.keyframe_pose(number)).seen for number in window], axis=0)
+        lower_opacities(self.map, seen, opacity)
+
+    def settle(self) -> float:
+        """Wait for the iterations since the last call; return their mean loss, NaN where there were none."""
+        return self._fitter.settle()
+
+    def keyframe_pose(self, number: int) -> Float64:
+        """Return the pose T_wc [4, 4] of keyframe ``number`` (-1: the newest) as it is now."""
+        return self._fitter.pose(number)
+
+    def keyframe_poses(self) -> dict[int, Float64]:
+        """Return the pose of each keyframe that is fitted, by the frame's index; none where poses stay."""
+        if not self.fits_poses:
+            return {}
+        return {k.index: self._fitter.pose(number) for number, k in enumerate(self._fitter.keyframes)}
+
+    def keyframe_exposure(self, number: int) -> Exposure:
+        """Return the exposure of keyframe ``number`` (-1: the newest) as it is now."""
+        return self._fitter.exposure(number)
+
+    @property
+    def fits_poses(self) -> bool:
+        """Whether keyframes' poses are fitted with the map."""
+        return any(self._config.pose_rates)
+
+    def render(self, T_wc: Float64) -> Rendered:
+        """Return the map's view from ``T_wc`` [4, 4]."""
+        r = self._renderer
+        r.render(T_wc)
+        image = r.plane(r.image)
+        identity = objects = classes = confidence = None
+        opacity = np.float32(1.0) - r.plane(r.transmittance)
+        if self.classifier is not None:
+            identity = np.ascontiguousarray(image[4:].transpose(1, 2, 0))
+            size = self._camera.height, self._camera.width
+            classes, confidence = self.classifier.classify_image(r.image, *size)
+            objects = np.where(opacity > 0.5, self.classes.decode(classes), 0).astype(np.int32)
+        return Rendered(
+            rgb=np.ascontiguousarray(np.clip(image[:3], 0.0, 1.0).transpose(1, 2, 0)),
+            depth=image[3],
+            median_depth=r.plane(r.median_depth),
+            opacity=opacity,
+            identity=identity,
+            objects=objects,
+            classes=classes,
+            confidence=confidence,
+        )
+
+    def export(self) -> PlyGaussians:
+        """Return the map on the host, each Gaussian with its object's id as the masks name it."""
+        return PlyGaussians(object_ids=self._belongings()[0], **self.map.to_host())
+
+    def objects(self, names: dict[int, str]) -> list[ObjectRecord]:
+        """Describe the map's objects; ``names`` are their classes by id, where known."""
+        object_ids, probabilities = self._belongings()
+        arrays = self.map.to_host()
+        mask_ids = self.classes.mask_ids  # the names are of these: ids made up here may be others' numbers
+        return inventory(
+            arrays["means"],
+            arrays["colours"],
+            object_ids,
+            names={i: name for i, name in names.items() if i in mask_ids},
+            sources=self.classes.sources(),
+            sightings=self.sightings.renamed(self.classes.ids),
+            probabilities=probabilities,
+        )
+
+    def linear_classifier(self) -> LinearClassifier | None:
+        """Return the identity classifier on the host; None without identities."""
+        if self.classifier is None:
+            return None
+        weights, biases = self.classifier.to_host()
+        return LinearClassifier(weights, biases, self.classes.ids[: self.classifier.count])
+
+    def _exposure(self, frame: Frame, rendered: Rendered | None, tracked: Exposure | None) -> Exposure:
+        """Return where the exposure of a new keyframe starts; the first one has the map's own."""
+        if rendered is None or not self._fitter.keyframes or self._config.exposure_rate <= 0.0:
+            return Exposure()
+        return tracked or estimate_exposure(frame, rendered, self.keyframe_exposure(-1))
+
+    def _belongings(self) -> tuple[NDArray[np.int32] | None, Float32 | None]:
+        """Return [n] the object of each Gaussian, and [n] how probable that is."""
+        if self.classifier is None:
+            return None, None
+        classes, probabilities = self.classifier.classify_map()
+        sure = probabilities > self._config.object_probability
+        return np.where(sure, self.classes.decode(classes), NO_OBJECT).astype(np.int32), probabilities
+
+    def _make_drawing(self, window: WindowConfig | None) -> Drawing:
+        if window is None:
+            return RandomDrawing(self._rng)
+        assert self.covisibility is not None
+        return WindowDrawing(self._rng, window, self.covisibility.look, self.keyframe_pose)

@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a keyframe adds Gaussians, and what they start as.
+
+Gaussians go where the map does not yet explain the picture: everywhere at first, later where
+the render is transparent, behind the new surface, or wrong in colour. Their density follows
+the picture's detail, and their size follows their density, so that they tile the surface.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ggwarp.geometry.camera import Camera
+from ggwarp.geometry.se3 import quats_from_matrices
+from ggwarp.map.gaussians import SH_C0, GaussianBatch
+from ggwarp.objects.classifier import random_identities
+from ggwarp.objects.mask_supervision import Lesson
+from ggwarp.types import Exposure, Float32, Float64, Frame, Rendered
+
+_NEUTRAL = Exposure()
+
+
+@dataclass(frozen=True)
+class SeedingConfig:
+    """How densely Gaussians are laid, and what they start as."""
+
+    min_density: float = 0.3
+    """Gaussians a pixel on new, untextured surface."""
+    max_density: float = 0.7
+    """Gaussians a pixel on new, finely textured surface."""
+    detail_gain: float = 6.0
+    """Density added per unit of local colour contrast (0..1)."""
+    residual_threshold: float = 0.06
+    """On surface the map already shows, mean absolute colour error above which more are added."""
+    residual_gain: float = 1.5
+    """Density added per unit of colour error above the threshold."""
+    spacing: float = 0.5
+    """Standard deviation of a Gaussian in units of the distance to its neighbours."""
+    flatness: float = 0.2
+    """Standard deviation along the surface normal, relative to the tangential one."""
+    max_stretch: float = 3.0
+    """A Gaussian on a grazing surface is stretched by 1/cos, at most so much."""
+    opacity: float = 0.7
+    """Initial opacity."""
+    depth_tolerance: float = 0.03
+    """New surface: closer than the rendered depth by more than this share of it."""
+    identity_noise: float = 0.1
+    """Spread of initial identities round their object's code; 1: random, as in GG-SLAM eq. (2)."""
+
+
+def seed_density(
+    frame: Frame, rendered: Rendered | None, config: SeedingConfig, exposure: Exposure = _NEUTRAL
+) -> Float32:
+    """Return the density of new Gaussians, [h, w] Gaussians a pixel, 0 where depth is missing.
+
+    Args:
+        frame: the keyframe, at the map's image size.
+        rendered: the map's view from there; None while the map is empty.
+        exposure: of the frame's picture.
+    """
+    assert frame.depth is not None
+    colour = exposure.taken_back(frame.rgb)
+    smooth = cv2.GaussianBlur(colour, (0, 0), 1.0)
+    contrast = cv2.blur(np.abs(colour - smooth).mean(axis=2), (3, 3))
+    fresh = np.clip(config.min_density + config.detail_gain * contrast, 0.0, config.max_density)
+    if rendered is None:
+        density = fresh
+    else:
+        in_front = (rendered.median_depth - frame.depth) > config.depth_tolerance * rendered.median_depth
+        is_new = (rendered.opacity < 0.5) | in_front
+        residual = cv2.blur(np.abs(rendered.rgb - colour).mean(axis=2), (3, 3))
+        more = np.clip(config.residual_gain * (residual - config.residual_threshold), 0.0, config.max_density)
+        density = np.where(is_new, fresh, more)
+    return np.where(frame.depth > 0.0, density, 0.0).astype(np.float32)
+
+
+def choose_pixels(density: Float32, frame_index: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return (rows, columns) drawn at ``density`` by a low-discrepancy dither, repeatably."""
+    h, w = density.shape
+    # Roberts' R2 sequence over the pixel grid: evenly spread at every density, unlike noise.
+    u, v = np.arange(w), np.arange(h)[:, None]
+    dither = (u * 0.7548776662466927 + v * 0.5698402909980532 + frame_index * 0.6180339887498949) % 1.0
+    rows, cols = np.nonzero(dither < density)
+    return rows, cols
+
+
+def surface_normals(depth: Float32, camera: Camera) -> Float32:
+    """Return [h, w, 3] unit normals in the camera frame, towards the camera; 0 where unknown."""
+    smooth = cv2.bilateralFilter(depth, 5, 0.05, 2.0)
+    h, w = depth.shape
+    x = (np.arange(w, dtype=np.float32) - camera.cx) / camera.fx
+    y = ((np.arange(h, dtype=np.float32) - camera.cy) / camera.fy)[:, None]
+    points = np.stack([x * smooth, y * smooth, smooth], axis=-1)
+    padded = np.pad(points, ((1, 1), (1, 1), (0, 0)), mode="edge")
+    du = padded[1:-1, 2:] - padded[1:-1, :-2]
+    dv = padded[2:, 1:-1] - padded[:-2, 1:-1]
+    normals = np.cross(du, dv)
+    # Across a depth edge the differences span two surfaces.
+    reach = 0.1 * smooth
+    length = np.linalg.norm(normals, axis=2)
+    broken = (np.abs(du[..., 2]) > reach) | (np.abs(dv[..., 2]) > reach) | (depth <= 0.0) | (length < 1e-12)
+    normals /= np.where(broken, 1.0, length)[..., None]
+    normals *= -np.sign((normals * points).sum(axis=2, keepdims=True))
+    normals[broken] = 0.0
+    return normals
+
+
+def seed_gaussians(
+    frame: Frame,
+    T_wc: Float64,
+    camera: Camera,
+    density: Float32,
+    config: SeedingConfig,
+    *,
+    codes: Float32 | None,
+    lesson: Lesson | None,
+    rng: np.random.Generator,
+    exposure: Exposure = _NEUTRAL,
+    birth: int = 0,
+) -> GaussianBatch:
+    """Return the Gaussians that ``frame`` adds at ``density`` (GG-SLAM 2.3, c).
+
+    Args:
+        frame: the keyframe, at the map's image size.
+        T_wc: [4, 4] its pose.
+        density: [h, w] Gaussians a pixel.
+        codes: [classes, 16] the identity each class starts from; None without identities.
+        lesson: what the frame says of objects; None: nothing.
+        rng: draws the identities.
+        exposure: of the frame's picture.
+        birth: number of the keyframe.
+    """
+    assert frame.depth is not None
+    rows, cols = choose_pixels(density, frame.index)
+    z = frame.depth[rows, cols]
+    points = np.stack([(cols - camera.cx) / camera.fx * z, (rows - camera.cy) / camera.fy * z, z], axis=1)
+    normals = surface_normals(frame.depth, camera)[rows, cols]
+    towards = -points / np.linalg.norm(points, axis=1, keepdims=True)
+    unknown = ~normals.any(axis=1)
+    normals[unknown] = towards[unknown]
+
+    axes, cosine = _surface_axes(normals, towards)
+    spread = config.spacing / np.sqrt(density[rows, cols]) * z / camera.fx
+    stretch = np.minimum(1.0 / np.maximum(cosine, 1e-3), config.max_stretch)
+    scales = np.stack([spread * stretch, spread, spread * config.flatness], axis=1)
+    R, t = T_wc[:3, :3], T_wc[:3, 3]
+    count = len(z)
+    return GaussianBatch(
+        means=(points @ R.T + t).astype(np.float32),
+        quats=quats_from_matrices(R @ axes),
+        log_scales=np.log(np.maximum(scales, 1e-5)).astype(np.float32),
+        opacity_logits=np.full(count, np.log(config.opacity / (1.0 - config.opacity)), np.float32),
+        colours=((exposure.taken_back(frame.rgb[rows, cols]) - 0.5) / SH_C0).astype(np.float32),
+        identities=None
+        if codes is None
+        else _identities(codes, None if lesson is None else lesson.seeds[rows, cols], count, config, rng),
+        births=np.full(count, birth, np.int32),
+        votes=None if lesson is None else (lesson.labels[rows, cols] >= 0).astype(np.int32),
+    )
+
+
+def _identities(
+    codes: Float32,
+    classes: NDArray[np.int32] | None,
+    count: int,
+    config: SeedingConfig,
+    rng: np.random.Generator,
+) -> Float32:
+    noise = random_identities(count, rng)
+    if classes is None:
+        return noise
+    known = (classes >= 0)[:, None]
+    mixed = (1.0 - config.identity_noise) * codes[np.maximum(classes, 0)] + config.identity_noise * noise
+    return np.where(known, mixed, noise).astype(np.float32)
+
+
+def _surface_axes(normals: Float32, towards: Float32) -> tuple[Float32, Float32]:
+    """Return [n, 3, 3] axes (columns: downhill, level, normal) and the cosine of incidence [n]."""
+    cosine = np.clip((normals * towards).sum(axis=1), 0.0, 1.0)
+    downhill = towards - cosine[:, None] * normals
+    flat = np.linalg.norm(downhill, axis=1) < 1e-3
+    # Seen head on, any tangent serves.
+    helper = np.where(np.abs(normals[:, :1]) < 0.9, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
+    downhill[flat] = np.cross(normals[flat], helper[flat])
+    downhill /= np.linalg.norm(downhill, axis=1, keepdims=True)
+    return np.stack([downhill, np.cross(normals, downhill), normals], axis=2), cosine

@@ -1,0 +1,299 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tracking: the camera's pose by registering a frame's depth to the map's trackable points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from ggwarp.geometry import se3
+from ggwarp.geometry.camera import Camera
+from ggwarp.pipeline.tracking.motion_model import Motion, depth_time, slide
+from ggwarp.pipeline.tracking.preprocess import Observation, ObservationConfig, observe
+from ggwarp.pipeline.tracking.relocalisation import Agreement, Recall, RecallConfig
+from ggwarp.runtime.streams import to_host
+from ggwarp.solvers.registration import Registrar, Registration, Stage, Target, build_target, match_distances2
+from ggwarp.types import Float32, Float64, Frame, MapSnapshot, TrackResult, Verdict
+
+
+@dataclass(frozen=True)
+class TrackerConfig:
+    """How a frame is registered, and when its pose is believed."""
+
+    observation: ObservationConfig = field(default_factory=ObservationConfig)
+    radii: tuple[float, ...] = (0.3, 0.1, 0.03)
+    """Farthest match of each stage, coarse to fine, metres; at least ``reach`` spacings of points."""
+    reach: float = 1.5
+    """No search ends below so many spacings: between sparse points there is always a gap."""
+    iterations: tuple[int, ...] = (6, 6, 15)
+    """Linearisations of each stage at most."""
+    coarse_thinning: int = 4
+    """All stages but the last use every so-manyth point."""
+    coarse_tolerance: float = 1e-3
+    """A coarse stage ends when a step is smaller, metres and radians."""
+    tolerance: float = 1e-4
+    """The last stage ends when a step is smaller, metres and radians."""
+    robust_scale: float = 3.0
+    """Standard deviations at which Geman-McClure's kernel halves a residual's share of the cost in the
+    last stage; wider in coarse stages, in the ratio of their radii."""
+    overlap_distance: float = 0.0316
+    """A point within this distance of the map is matched, metres; at least ``reach`` spacings."""
+    min_points: int = 200
+    """A frame with fewer points is lost."""
+    lost_overlap: float = 0.2
+    """A frame with a smaller share of matched points is lost."""
+    poor_overlap: float = 0.4
+    """A frame with a smaller share of matched points is poor."""
+    sure_overlap: float = 0.6
+    """Below this share, or after a jump, registration is tried from other poses, too, and the best pose that
+    remembered views agree with is taken; without such a pose the frame is lost."""
+    clear_overlap: float = 0.9
+    """That search ends where such a pose has this share."""
+    recall: RecallConfig = field(default_factory=RecallConfig)
+    max_slide: float = 0.01
+    """A frame whose position is uncertain by more along some direction is poor, or lost if its overlap is
+    poor too, metres; thrice that where earlier views agree with it."""
+    max_jump: float = 0.5
+    """A frame farther from its prediction is a jump, and poor at best, metres."""
+    max_turn: float = 0.6
+    """Likewise a frame turned farther, radians."""
+
+
+class GicpTracker:
+    """Frame-to-map generalised ICP (GG-SLAM section 1a).
+
+    Keeps the last good pose and the velocity itself; never reads ``Frame.T_wc``;
+    looks at colour only to find and check the pose of a frame that registers badly.
+
+    Attributes:
+        registration: of the last frame, whether it was believed or not; None where there was none.
+    """
+
+    def __init__(self, config: TrackerConfig, sensor_camera: Camera, *, device: Any = "cpu") -> None:
+        """Make a tracker of frames whose sensor depth was taken by ``sensor_camera``."""
+        self._config = config
+        self._camera = sensor_camera
+        self._device = device
+        self._registrar = Registrar(device=device)
+        self._recall = Recall(config.recall, sensor_camera)
+        self._target: Target | None = None
+        self._target_version: int | None = None
+        self._motion: Motion | None = None
+        self._before: Motion | None = None
+        self.registration: Registration | None = None
+
+    def start(self, frame: Frame, T_wc: Float64) -> TrackResult:
+        """Take the first frame, whose pose [4, 4] is given; all its points are new to the map.
+
+        A frame with too few points is lost: start again with the next one.
+        """
+        seen = self._observe(frame)
+        self._motion = Motion.at_rest(T_wc, depth_time(frame))
+        if seen.count < self._config.min_points:
+            return _result(self._motion.T_wc, np.eye(4), Verdict.LOST, seen, self._too_few(seen))
+        self._recall.remember(frame, self._motion.T_wc)
+        return _result(self._motion.T_wc, np.eye(4), Verdict.CONVERGED, seen)
+
+    def track(self, frame: Frame, target: MapSnapshot) -> TrackResult:
+        """Return the pose of the next frame.
+
+        Raises:
+            RuntimeError: there was no :meth:`start`.
+        """
+        if self._motion is None:
+            raise RuntimeError("track() before start(): the first frame's pose must be given")
+        seen = self._observe(frame)
+        self._before, self.registration = self._motion, None
+        predicted = self._motion.predicted(depth_time(frame))
+        if seen.count < self._config.min_points:
+            return self._lose(frame, predicted, self._too_few(seen), seen)
+        self._aim(target, seen.spacing)
+        assert self._target is not None
+        found = self._search(frame, seen, predicted)
+        self.registration, fit, distances2 = found.fit, found.fit, found.distances2
+        verdict, reason = self._judge(found, predicted)
+        if verdict is Verdict.LOST:
+            return self._lose(frame, predicted, reason, seen, fit, distances2)
+        self._motion = self._motion.moved(fit.T_wc, depth_time(frame))
+        self._recall.remember(frame, fit.T_wc)
+        return _result(fit.T_wc, self._motion.to_colour(frame), verdict, seen, reason, fit, distances2)
+
+    def _too_few(self, seen: Observation) -> str:
+        return f"{seen.count} depth points, {self._config.min_points} needed"
+
+    def place(self, frame: Frame, target: MapSnapshot, T_wc: Float64) -> TrackResult:
+        """Take the pose [4, 4] as given; say only how the frame's points lie to the map there."""
+        seen = self._observe(frame)
+        self._aim(target, seen.spacing)
+        self._motion = Motion.at_rest(T_wc, depth_time(frame))
+        return _result(T_wc, np.eye(4), Verdict.CONVERGED, seen, distances2=self._distances2(seen, T_wc))
+
+    def correct(self, frame: Frame, T_wc: Float64) -> None:
+        """Take ``T_wc`` [4, 4] as the pose of the last frame's colour: somebody knows better."""
+        assert self._motion is not None and self._before is not None
+        T_wd = T_wc @ se3.inverse(self._motion.to_colour(frame))
+        self._motion = self._before.moved(T_wd, depth_time(frame))
+
+    def moved(self, T_wc: Float64) -> None:
+        """The points that poses rest on stay where they are, whatever becomes of a keyframe's pose."""
+
+    def to_colour(self, frame: Frame) -> Float64:
+        """Return the motion [4, 4] from the camera of the last frame's depth to that of its colour."""
+        assert self._motion is not None
+        return self._motion.to_colour(frame)
+
+    def _observe(self, frame: Frame) -> Observation:
+        image = frame.depth if frame.sensor_depth is None else frame.sensor_depth
+        if image is None:
+            raise ValueError(f"frame {frame.index} has no depth: GICP tracking needs it")
+        return observe(image, self._camera, self._config.observation, device=self._device)
+
+    def _aim(self, target: MapSnapshot, spacing: float) -> None:
+        """Prepare the map for registration, unless it is the one already prepared."""
+        if target.version != self._target_version:
+            # Points without a match look through every cell in reach: a bound keeps these few.
+            cell = max(2.5 * spacing, self._config.radii[0] / 8.0)
+            self._target = build_target(
+                target.means, target.quats, target.scales, cell_size=cell, device=self._device
+            )
+            self._target_version = target.version
+
+    def _stages(self, spacing: float) -> list[Stage]:
+        c = self._config
+        *coarse, fine = [max(radius, c.reach * spacing) for radius in c.radii]
+        *coarse_iterations, fine_iterations = c.iterations
+        stages = [
+            Stage(radius, n, c.coarse_tolerance, c.robust_scale * radius / fine, c.coarse_thinning)
+            for radius, n in zip(coarse, coarse_iterations, strict=True)
+        ]
+        return [*stages, Stage(fine, fine_iterations, c.tolerance, c.robust_scale)]
+
+    def _search(self, frame: Frame, seen: Observation, predicted: Float64) -> _Found:
+        """Register from the prediction; where that fits badly, from wherever the camera may have been."""
+        assert self._motion is not None
+        first = self._fit(seen, predicted)
+        if first.overlap >= self._config.sure_overlap and not self._jump(first.fit, predicted):
+            return first
+        best = self._checked(frame, first)
+        if best.believed and best.overlap >= self._config.clear_overlap:
+            return best
+        for T_start in self._recall.starts(frame, [self._motion.T_wc, predicted]):
+            found = self._checked(frame, self._fit(seen, T_start))
+            if found.rank > best.rank:
+                best = found
+            if best.believed and best.overlap >= self._config.clear_overlap:
+                break
+        return best
+
+    def _checked(self, frame: Frame, found: _Found) -> _Found:
+        agreement = self._recall.agreement(frame, found.fit.T_wc)
+        return replace(found, agreement=agreement, believed=self._recall.believes(agreement))
+
+    def _fit(self, seen: Observation, T_start: Float64) -> _Found:
+        assert self._target is not None
+        fit = self._registrar.register(seen.cloud, self._target, T_start, self._stages(seen.spacing))
+        distances2 = self._distances2(seen, fit.T_wc)
+        return _Found(fit, distances2, _overlap(distances2))
+
+    def _distances2(self, seen: Observation, T_wc: Float64) -> Float32:
+        """Return [n] squared distance of each point to the map, m^2; inf where nothing is near."""
+        assert self._target is not None
+        reach = max(self._config.overlap_distance, self._config.reach * seen.spacing)
+        return match_distances2(seen.cloud, self._target, T_wc, radius=reach, device=self._device)
+
+    def _judge(self, found: _Found, predicted: Float64) -> tuple[Verdict, str]:
+        config, fit, overlap = self._config, found.fit, found.overlap
+        slid, jump_reason = slide(fit.information), self._jump(fit, predicted)
+        overlap_reason = f"overlap {overlap:.2f} with the map"
+        slide_reason = f"position free to slide by {slid:.3f} m"
+        if overlap < config.lost_overlap:
+            return Verdict.LOST, overlap_reason
+        if not np.isfinite(slid):
+            return Verdict.LOST, "the geometry does not fix the pose"
+        if found.agreement is not None and not found.believed:
+            return Verdict.LOST, f"{overlap_reason}, {found.agreement} with earlier views"
+        # One weakness alone can be the scene's; two together are a wrong pose.
+        slides = slid > config.max_slide * (3.0 if found.believed else 1.0)
+        if slides and overlap < config.poor_overlap:
+            return Verdict.LOST, f"{slide_reason}, {overlap_reason}"
+        if slid > config.max_slide:
+            return Verdict.POOR, slide_reason
+        if overlap < config.poor_overlap:
+            return Verdict.POOR, overlap_reason
+        return (Verdict.POOR, jump_reason) if jump_reason else (Verdict.CONVERGED, "")
+
+    def _jump(self, fit: Registration, predicted: Float64) -> str:
+        """Say how far the pose is from the predicted one, where that is farther than is likely."""
+        assert self._motion is not None
+        allowed = 1 + self._motion.lost
+        jump = se3.se3_log(se3.inverse(predicted) @ fit.T_wc)
+        distance, turn = float(np.linalg.norm(jump[:3])), float(np.linalg.norm(jump[3:]))
+        if distance <= allowed * self._config.max_jump and turn <= allowed * self._config.max_turn:
+            return ""
+        return f"jump of {distance:.2f} m, {np.degrees(turn):.0f} degrees"
+
+    def _lose(
+        self,
+        frame: Frame,
+        predicted: Float64,
+        reason: str,
+        seen: Observation,
+        fit: Registration | None = None,
+        distances2: Float32 | None = None,
+    ) -> TrackResult:
+        assert self._motion is not None
+        self._motion.lost += 1
+        shift = self._motion.to_colour(frame)
+        return _result(predicted, shift, Verdict.LOST, seen, reason, fit, distances2)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """A registration, its points' squared distances [n] to the map, and what remembered views say of it."""
+
+    fit: Registration
+    distances2: Float32
+    overlap: float
+    agreement: Agreement | None = None
+    believed: bool = False
+
+    @property
+    def rank(self) -> tuple[bool, float]:
+        """The larger, the better."""
+        return self.believed, self.overlap * (1.0 if self.agreement is None else self.agreement.score)
+
+
+def _overlap(distances2: Float32) -> float:
+    return float(np.isfinite(distances2).mean()) if len(distances2) else 0.0
+
+
+def _result(
+    T_wd: Float64,
+    T_dc: Float64,
+    verdict: Verdict,
+    seen: Observation,
+    reason: str = "",
+    fit: Registration | None = None,
+    distances2: Float32 | None = None,
+) -> TrackResult:
+    """Report the pose and the points as of the colour image; ``T_wd`` is the pose when depth was taken."""
+    if distances2 is None:
+        distances2 = np.full(seen.count, np.inf, np.float32)
+    matched = distances2[np.isfinite(distances2)]
+    T_cd = se3.inverse(T_dc)
+    return TrackResult(
+        T_wc=T_wd @ T_dc,
+        verdict=verdict,
+        reason=reason,
+        overlap=_overlap(distances2),
+        rmse=float(np.sqrt(matched.mean(dtype=np.float64))) if len(matched) else 0.0,
+        iterations=fit.iterations if fit else 0,
+        points=se3.transform_points(T_cd, to_host(seen.cloud.points)).astype(np.float32),
+        quats=se3.rotate_quats(T_cd[:3, :3], to_host(seen.quats)).astype(np.float32),
+        scales=to_host(seen.scales),
+        spreads=to_host(seen.spreads),
+        distances2=distances2,
+        pixels=to_host(seen.pixels),
+    )

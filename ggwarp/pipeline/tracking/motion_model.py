@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The camera's motion as a tracker knows it: the last good pose, and the velocity there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ggwarp.geometry import se3
+from ggwarp.types import Float64, Frame
+
+
+@dataclass
+class Motion:
+    """The last good pose and the velocity there.
+
+    Attributes:
+        T_wc: [4, 4] camera-to-world at ``time``, seconds.
+        velocity: [6] (v, w) a second, in the camera.
+        lost: frames lost since.
+    """
+
+    T_wc: Float64
+    time: float
+    velocity: Float64
+    lost: int = 0
+
+    @classmethod
+    def at_rest(cls, T_wc: Float64, time: float) -> Motion:
+        """Return no motion at all."""
+        return cls(np.array(T_wc, np.float64), time, np.zeros(6))
+
+    def predicted(self, time: float) -> Float64:
+        """Return the pose at ``time`` by constant velocity; that is trusted for one lost frame only."""
+        if self.lost > 1:
+            return self.T_wc
+        return self.T_wc @ se3.se3_exp(self.velocity * (time - self.time))
+
+    def to_colour(self, frame: Frame) -> Float64:
+        """Return the motion [4, 4] from the camera of the frame's depth to that of its colour."""
+        return se3.se3_exp(self.velocity * (frame.timestamp - depth_time(frame)))
+
+    def moved(self, T_wc: Float64, time: float) -> Motion:
+        """Return the motion after a good frame at ``T_wc``."""
+        dt = time - self.time
+        velocity = se3.se3_log(se3.inverse(self.T_wc) @ T_wc) / dt if dt > 0.0 else np.zeros(6)
+        return Motion(T_wc, time, velocity)
+
+
+def depth_time(frame: Frame) -> float:
+    """Return when the frame's depth was taken, seconds."""
+    return frame.timestamp if frame.depth_timestamp is None else frame.depth_timestamp
+
+
+def slide(information: Float64) -> float:
+    """Return the largest standard deviation of the position, metres; inf where it is not determined.
+
+    Args:
+        information: [6, 6] inverse covariance of (translation, rotation).
+    """
+    values, vectors = np.linalg.eigh(information)
+    if not np.isfinite(values).all() or values[0] <= 1e-12 * max(values[-1], 1e-300):
+        return float("inf")
+    covariance = (vectors / values) @ vectors.T
+    return float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1]))

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tracking by rendering the map (MonoGS): depth helps but is not needed, no points are kept."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ggwarp.geometry import se3
+from ggwarp.map.renderer import Renderer
+from ggwarp.pipeline.tracking.motion_model import Motion
+from ggwarp.pipeline.tracking.pose_refinement import Refined, RefinementConfig, Refiner
+from ggwarp.types import Float64, Frame, MapSnapshot, TrackResult, Verdict
+
+
+@dataclass(frozen=True)
+class PhotometricConfig:
+    """How a frame is tracked by its colours, and when its pose is believed."""
+
+    refinement: RefinementConfig = field(default_factory=lambda: RefinementConfig(renders=3))
+    sure_cost: float = 2.5
+    """A frame whose colours fit worse is also tried from the last good pose; if they still do, it is poor."""
+    max_jump: float = 0.3
+    """A frame farther from its prediction is poor, metres."""
+    max_turn: float = 0.4
+    """Likewise a frame turned farther, radians."""
+
+
+class PhotometricTracker:
+    """Finds the pose at which the map looks like the frame; never reads ``Frame.T_wc``.
+
+    Depth is compared, too, where frames have it.
+    """
+
+    needs_gaussians = True
+
+    def __init__(self, config: PhotometricConfig, renderer: Renderer, *, device: Any = "cpu") -> None:
+        """Make a tracker of frames whose pictures ``renderer``'s camera took."""
+        self._config = config
+        self._refiner = Refiner(config.refinement, renderer, device=device)
+        self._motion: Motion | None = None
+
+    def start(self, frame: Frame, T_wc: Float64) -> TrackResult:
+        """Take the first frame, whose pose [4, 4] is given."""
+        self._motion = Motion.at_rest(T_wc, frame.timestamp)
+        return TrackResult(self._motion.T_wc, Verdict.CONVERGED)
+
+    def track(self, frame: Frame, target: MapSnapshot) -> TrackResult:
+        """Return the pose of the next frame.
+
+        Args:
+            target: not looked at: the Gaussians themselves are.
+
+        Raises:
+            RuntimeError: there was no :meth:`start`.
+        """
+        if self._motion is None:
+            raise RuntimeError("track() before start(): the first frame's pose must be given")
+        predicted = self._motion.predicted(frame.timestamp)
+        found = self._refiner.refine(frame, predicted, with_depth=True)
+        if found.cost > self._config.sure_cost or found.objection:
+            found = min(found, self._refiner.refine(frame, self._motion.T_wc, with_depth=True), key=_rank)
+        if found.objection:
+            self._motion.lost += 1
+            return TrackResult(predicted, Verdict.LOST, found.objection, found.share)
+        reason = self._doubt(found, predicted)
+        self._motion = self._motion.moved(found.T_wc, frame.timestamp)
+        return TrackResult(
+            found.T_wc,
+            Verdict.POOR if reason else Verdict.CONVERGED,
+            reason,
+            overlap=found.share,
+            iterations=found.iterations,
+            exposure=found.as_exposure(),
+        )
+
+    def moved(self, T_wc: Float64) -> None:
+        """Take note that the last frame's pose [4, 4] was corrected by the mapper."""
+        if self._motion is not None:
+            self._motion.T_wc = T_wc
+
+    def _doubt(self, found: Refined, predicted: Float64) -> str:
+        """Return why the pose is poor, one clause; empty: it is not."""
+        assert self._motion is not None
+        c, allowed = self._config, 1 + self._motion.lost
+        jump = se3.se3_log(se3.inverse(predicted) @ found.T_wc)
+        distance, turn = float(np.linalg.norm(jump[:3])), float(np.linalg.norm(jump[3:]))
+        if distance > allowed * c.max_jump or turn > allowed * c.max_turn:
+            return f"jump of {distance:.2f} m, {np.degrees(turn):.0f} degrees"
+        if found.cost > c.sure_cost:
+            return f"the picture differs from the map by {found.cost:.1f} noise variances a pixel"
+        return ""
+
+
+def _rank(found: Refined) -> tuple[bool, float]:
+    return bool(found.objection), found.cost

@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The camera's pose by gradient descent through the renderer, as MonoGS does it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ggwarp.geometry import se3
+from ggwarp.kernels.math import vec6
+from ggwarp.kernels.optim.pose_adam import step_pose
+from ggwarp.kernels.photometric.tracking_loss import photometric_loss, step_exposure
+from ggwarp.map.renderer import Renderer
+from ggwarp.runtime.streams import to_host
+from ggwarp.types import Float64, Frame
+
+_PATCH = 32
+_DARK = 2
+"""Pixels no brighter than this in any channel are not compared, of 255."""
+
+
+@dataclass(frozen=True)
+class DescentConfig:
+    """Adam on the pose and the exposure (MonoGS's values)."""
+
+    iterations: int = 100
+    """Renders at most."""
+    rates: tuple[float, float] = (1e-3, 3e-3)
+    """Of translation and rotation, metres and radians."""
+    exposure_rate: float = 1e-2
+    """Of the exposure's (a, b)."""
+    tolerance: float = 1e-4
+    """Done when a step is smaller, metres and radians."""
+    depth_weight: float = 0.05
+    """Share of the depth's error in the loss, where there is depth."""
+    edge: float = 1.1
+    """Colours are compared where the picture changes by more than this share of the median around."""
+
+
+class Descent:
+    """Descends for one camera and one map, in arrays that are kept."""
+
+    def __init__(self, config: DescentConfig, renderer: Renderer, *, device: Any) -> None:
+        """Prepare to compare pictures with what ``renderer`` renders."""
+        self._config = config
+        self._renderer = renderer
+        self._device = wp.get_device(device)
+        row: Any = vec6
+        self._pose_moments = wp.zeros(2, dtype=row, device=self._device)
+        self._moments = wp.zeros((2, 2), dtype=float, device=self._device)
+        self._steps = wp.zeros(2, dtype=wp.int32, device=self._device)
+        self._sums = wp.empty((renderer.camera.height, 3), dtype=float, device=self._device)
+        self._loss = wp.zeros(1, dtype=float, device=self._device)
+
+    def run(
+        self, frame: Frame, T_cw: Float64, exposure: tuple[float, float]
+    ) -> tuple[Float64, tuple[float, float], int]:
+        """Return the pose [4, 4], world to camera, the exposure and the renders it took, from those given."""
+        c, r, device = self._config, self._renderer, self._device
+        byte: Any = wp.uint8
+        colour = wp.array(frame.rgb, dtype=byte, device=device)
+        mask = wp.array(edge_mask(frame.rgb, c.edge), dtype=byte, device=device)
+        depth = None if frame.depth is None else wp.array(frame.depth, dtype=float, device=device)
+        share = 0.0 if depth is None else c.depth_weight
+        pose, shine = r.pose_array(se3.inverse(T_cw)), wp.array(exposure, dtype=float, device=device)
+        for array in (self._pose_moments, self._moments, self._steps):
+            array.zero_()
+        now, renders = T_cw, 0
+        while renders < c.iterations:
+            r.forward(pose)
+            photometric_loss(
+                r.image,
+                r.transmittance,
+                colour=colour,
+                mask=mask,
+                depth=depth,
+                exposure=shine,
+                weights=(1.0 - share, share),
+                d_image=r.d_image,
+                sums=self._sums,
+                device=device,
+            )
+            r.adjoint_pose(pose)
+            step_pose(
+                r.d_pose,
+                rates=c.rates,
+                moments=self._pose_moments,
+                steps=self._steps[:1],
+                T_cw=pose,
+                device=device,
+            )
+            step_exposure(
+                self._sums,
+                rate=c.exposure_rate,
+                moments=self._moments,
+                steps=self._steps[1:],
+                exposure=shine,
+                loss=self._loss,
+                device=device,
+            )
+            renders += 1
+            before, now = now, to_host(pose)[0].astype(np.float64)
+            if np.linalg.norm(se3.se3_log(now @ se3.inverse(before))) < c.tolerance:
+                break
+        a, b = to_host(shine).tolist()
+        r.make_room()
+        return se3.orthonormalised(now), (a, b), renders
+
+
+def edge_mask(rgb: NDArray[np.uint8], share: float) -> NDArray[np.uint8]:
+    """Return which pixels' colours are compared, [h, w], 1 or 0.
+
+    Args:
+        rgb: [h, w, 3]; black is not compared.
+        share: of the median change of a patch, that a pixel must exceed.
+    """
+    grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32)
+    change = np.hypot(cv2.Scharr(grey, cv2.CV_32F, 1, 0), cv2.Scharr(grey, cv2.CV_32F, 0, 1))
+    mask = np.zeros(grey.shape, np.uint8)
+    for i in range(0, grey.shape[0], _PATCH):
+        for j in range(0, grey.shape[1], _PATCH):
+            patch = change[i : i + _PATCH, j : j + _PATCH]
+            mask[i : i + _PATCH, j : j + _PATCH] = patch > share * np.median(patch)
+    return mask * (rgb.max(axis=2) > _DARK)

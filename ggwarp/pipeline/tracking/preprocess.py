@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a depth image to the points that a frame is tracked with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ggwarp.geometry.camera import Camera
+from ggwarp.kernels.registration import back_projection, covariance, pixel_neighbours
+from ggwarp.runtime.streams import to_host
+from ggwarp.solvers.registration import Cloud
+from ggwarp.types import Float32
+
+
+@dataclass(frozen=True)
+class ObservationConfig:
+    """Which readings of a depth image are used, and how far each is trusted."""
+
+    points: int = 8000
+    """About so many points a frame: the sampling grid is as fine as that takes."""
+    near: float = 0.1
+    """Readings closer are dropped, metres."""
+    far: float = 12.0
+    """Readings farther are dropped, metres; far ones count little anyway (noise_growth)."""
+    edge: float = 0.0
+    """Readings are dropped where inverse depth bends by more than this share within a pixel; 0: none are."""
+    neighbours: int = 10
+    """Neighbours that a point's ellipse is fitted to; 16 at most."""
+    noise_floor: float = 0.001
+    """Standard deviation of depth at no distance, metres."""
+    noise_growth: float = 0.002
+    """Its growth with squared distance, 1/metre: structured light and stereo."""
+    slip: float = 1.0
+    """Standard deviation along a surface, metres: how freely matched patches slide along each other."""
+
+
+@dataclass(frozen=True)
+class Observation:
+    """A frame's points, on the device, camera frame.
+
+    Attributes:
+        cloud: points and registration covariances.
+        quats: [n] wp.vec4, axes of each point's ellipse, w first; the last axis is the normal.
+        scales: [n] wp.vec3, metres, standard deviations of the neighbourhood, falling.
+        pixels: [n] wp.vec2i, (u, v).
+        stride: pixels between samples.
+        spacing: median distance between neighbouring points, metres.
+        spreads: [n] wp.vec3, metres, along and across the surface: the cloud's covariances.
+    """
+
+    cloud: Cloud
+    quats: Any
+    scales: Any
+    pixels: Any
+    stride: int
+    spacing: float
+    spreads: Any
+
+    @property
+    def count(self) -> int:
+        return self.cloud.count
+
+
+def observe(image: Float32, camera: Camera, config: ObservationConfig, *, device: Any) -> Observation:
+    """Sample ``image`` [h, w] (metres, 0 = no reading) and fit an ellipse to each point.
+
+    Raises:
+        ValueError: an image that is not of the camera's size; a bad number of neighbours.
+    """
+    h, w = image.shape
+    if (h, w) != (camera.height, camera.width):
+        raise ValueError(f"depth image: {w}x{h}, but its camera takes {camera.width}x{camera.height}")
+    readings = int(np.count_nonzero(image > 0.0))
+    stride = max(1, round((readings / config.points) ** 0.5))
+    rows, columns = back_projection.sample_grid(h, w, stride)
+    room = rows * columns
+    flags, slots = (wp.zeros(max(room, 1), dtype=int, device=device) for _ in range(2))
+    points = _empty(room, wp.vec3, device)
+    pixels = _empty(room, wp.vec2i, device)
+    back_projection.sample_depth(
+        wp.array(np.ascontiguousarray(image, np.float32), dtype=float, device=device),
+        (camera.fx, camera.fy, camera.cx, camera.cy),
+        stride=stride,
+        near=config.near,
+        far=config.far,
+        edge=config.edge,
+        flags=flags,
+        slots=slots,
+        points=points,
+        pixels=pixels,
+        device=device,
+    )
+    n = int(to_host(flags[-1:])[0] + to_host(slots[-1:])[0])
+    points, pixels = points[:n], pixels[:n]
+    spacing = float(np.median(to_host(points)[:, 2])) * stride / camera.fx if n else 0.0
+    quats, scales = fit_ellipses(points, pixels, camera, stride=stride, k=config.neighbours, device=device)
+    spreads = _spreads(points, scales, config, device)
+    covariances = _empty(n, wp.mat33, device)
+    covariance.build_covariances(quats, spreads, covariances=covariances, device=device)
+    return Observation(Cloud(points, covariances), quats, scales, pixels, stride, spacing, spreads)
+
+
+def fit_ellipses(
+    points: Any, pixels: Any, camera: Camera, *, stride: int, k: int, device: Any
+) -> tuple[Any, Any]:
+    """Return the quaternions [n] and scales [n] of ellipses fitted to each point's ``k`` nearest.
+
+    Args:
+        points, pixels, stride: as in :class:`Observation`.
+        k: neighbours, itself among them; 16 at most.
+    """
+    n = points.shape[0]
+    quats = _empty(n, wp.vec4, device)
+    scales = _empty(n, wp.vec3, device)
+    if n:
+        indices = _empty((n, k), int, device)
+        pixel_neighbours.find_k_nearest_pixels(
+            points,
+            pixels,
+            (camera.fx, camera.fy, camera.cx, camera.cy),
+            stride=stride,
+            k=k,
+            places=_empty(back_projection.sample_grid(camera.height, camera.width, stride), int, device),
+            indices=indices,
+            device=device,
+        )
+        covariance.estimate_covariances(points, points, indices, quats=quats, scales=scales, device=device)
+    return quats, scales
+
+
+def _spreads(points: Any, scales: Any, config: ObservationConfig, device: Any) -> Any:
+    spreads = _empty(points.shape[0], wp.vec3, device)
+    covariance.plane_scales(
+        points,
+        scales,
+        noise_floor=config.noise_floor,
+        noise_growth=config.noise_growth,
+        slip=config.slip,
+        scales=spreads,
+        device=device,
+    )
+    return spreads
+
+
+def _empty(shape: Any, dtype: Any, device: Any) -> Any:
+    return wp.empty(shape, dtype=dtype, device=device)

@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Small pictures of where the camera has been: where a frame could be, and whether a pose can be true.
+
+Registration says how much of a frame lies on the map. That is not enough where little does: a wrong pose may
+lay one wall on another. Here a pose is checked against views: neither of two views may see through what the
+other one sees, and where their surfaces agree, so must their brightness.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from ggwarp.geometry import se3
+from ggwarp.geometry.camera import Camera
+from ggwarp.types import Float32, Float64, Frame
+
+
+@dataclass(frozen=True)
+class RecallConfig:
+    """How views are remembered, and what agrees with them."""
+
+    width: int = 64
+    """Width of a remembered view, pixels; its height follows."""
+    apart: float = 0.3
+    """A view is remembered when it is farther from all others than this, metres and radians."""
+    similar: int = 4
+    """So many of the most similar views are taken as places where the camera could be."""
+    turns: tuple[float, ...] = (0.0, 0.2, 0.4, 0.6)
+    """Angles to either side, from every such place, radians; up and down half of all but the largest."""
+    tries: int = 8
+    """So many of all those poses, the best by their small pictures, are registered from."""
+    tolerance: float = 0.05
+    """Depths agree that differ by no more at no distance, metres, ..."""
+    growth: float = 0.03
+    """... and so much more per metre of distance."""
+    compared: int = 4
+    """A pose is compared with so many nearest views."""
+    min_shared: float = 0.1
+    """A pose at which a smaller share of a frame agrees with a remembered view cannot be checked."""
+    max_through: float = 0.15
+    """A pose is wrong where a larger share of what both views show is seen through."""
+    min_correlation: float = 0.6
+    """A pose is wrong where brightness correlates less, on surfaces that agree."""
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How a frame at some pose looks beside remembered views.
+
+    Attributes:
+        shared: the largest share of the frame's readings that lie on surfaces of one of the views.
+        through: share of the readings in common that one of two views sees through.
+        correlation: of brightness on agreeing surfaces, -1..1; 1 where there is no texture to compare.
+    """
+
+    shared: float = 0.0
+    through: float = 0.0
+    correlation: float = 1.0
+
+    def __str__(self) -> str:
+        return (
+            f"{self.shared:.2f} shared, {self.through:.2f} seen through, correlation {self.correlation:.2f}"
+        )
+
+    @property
+    def score(self) -> float:
+        """Larger is likelier."""
+        return self.shared * (1.0 + max(self.correlation, 0.0)) * (1.0 - self.through) ** 2
+
+
+@dataclass(frozen=True)
+class _View:
+    """A small picture: grey and depth [h, w], points [n, 3] where depth is, and those pixels' grey [n]."""
+
+    grey: Float32
+    depth: Float32
+    points: Float32
+    shades: Float32
+
+
+class Recall:
+    """Remembers small views with their poses."""
+
+    def __init__(self, config: RecallConfig, sensor_camera: Camera) -> None:
+        """Remember nothing yet; frames' sensor depth is by ``sensor_camera``."""
+        self._config = config
+        height = max(1, round(config.width * sensor_camera.height / sensor_camera.width))
+        self._camera = sensor_camera.resized(config.width, height)
+        self._views: list[_View] = []
+        self._poses: Float64 = np.zeros((0, 4, 4))
+        self._signatures: Float32 = np.zeros((0, 0), np.float32)
+
+    def __len__(self) -> int:
+        return len(self._views)
+
+    def remember(self, frame: Frame, T_wc: Float64) -> None:
+        """Keep the view of ``frame`` from ``T_wc`` [4, 4], unless one from nearly there is kept."""
+        if len(self) and self._distances(T_wc).min() < self._config.apart:
+            return
+        view = self._view(frame)
+        signature = _signature(view)
+        self._views.append(view)
+        self._poses = np.concatenate([self._poses, T_wc[None]])
+        self._signatures = np.concatenate([self._signatures.reshape(-1, len(signature)), signature[None]])
+
+    def starts(self, frame: Frame, bases: list[Float64]) -> list[Float64]:
+        """Return poses [4, 4] to register ``frame`` from, the likeliest first.
+
+        Args:
+            bases: poses about which to look, beside those of similar views.
+        """
+        c = self._config
+        view = self._view(frame)
+        similar = np.argsort(-(self._signatures @ _signature(view)), kind="stable")[: c.similar]
+        side = sorted({s * a for a in c.turns for s in (1.0, -1.0)}, key=lambda a: (abs(a), a))
+        turns = [
+            se3.se3_exp([0, 0, 0, up / 2.0, across, 0]) for across in side for up in side if abs(up) < 0.5
+        ]
+        poses = [base @ turn for base in [*bases, *self._poses[similar]] for turn in turns]
+        coarse = _thinned(view, 4)
+        scores = [self._compare(coarse, T, views=2, slack=3.0, thinning=4).score for T in poses]
+        best: list[Float64] = []
+        for i in np.argsort(-np.array(scores), kind="stable"):
+            if all(_distances(np.array([T]), poses[i])[0] > 0.1 for T in best):
+                best.append(poses[i])
+            if len(best) == c.tries:
+                break
+        return best
+
+    def agreement(self, frame: Frame, T_wc: Float64) -> Agreement:
+        """Return how ``frame`` from ``T_wc`` [4, 4] agrees with the nearest views."""
+        return self._compare(self._view(frame), T_wc, views=self._config.compared)
+
+    def believes(self, found: Agreement) -> bool:
+        """Whether that is agreement enough to believe the pose."""
+        c = self._config
+        return (
+            found.shared >= c.min_shared
+            and found.through <= c.max_through
+            and found.correlation >= c.min_correlation
+        )
+
+    def _view(self, frame: Frame) -> _View:
+        image = frame.depth if frame.sensor_depth is None else frame.sensor_depth
+        assert image is not None, "tracked by depth"
+        size = self._camera.width, self._camera.height
+        depth = cv2.resize(image, size, interpolation=cv2.INTER_NEAREST)
+        grey = cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2GRAY).astype(np.float32)
+        grey = cv2.GaussianBlur(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), (3, 3), 0.0)
+        grey, depth = np.asarray(grey, np.float32), np.asarray(depth, np.float32)
+        v, u = np.nonzero(depth > 0.0)
+        z, k = depth[v, u], self._camera
+        points = np.stack([(u - k.cx) / k.fx * z, (v - k.cy) / k.fy * z, z], axis=1).astype(np.float32)
+        return _View(grey, depth, points, grey[v, u])
+
+    def _distances(self, T_wc: Float64) -> Float64:
+        return _distances(self._poses, T_wc)
+
+    def _compare(
+        self, view: _View, T_wc: Float64, *, views: int, slack: float = 1.0, thinning: int = 1
+    ) -> Agreement:
+        shared, correlation = 0.0, 1.0
+        seen = through = 0
+        for i in np.argsort(self._distances(T_wc), kind="stable")[:views]:
+            other = self._views[i]
+            T = se3.inverse(self._poses[i]) @ T_wc
+            here, there, passed = self._project(view, other, T, slack)
+            back, _, passed_back = self._project(_thinned(other, thinning), view, se3.inverse(T), slack)
+            through += passed + passed_back
+            seen += passed + passed_back + len(here) + len(back)
+            if len(here) > shared * len(view.points):
+                shared, correlation = len(here) / len(view.points), _correlation(here, there)
+        return Agreement(shared, through / max(seen, 1), correlation)
+
+    def _project(self, view: _View, other: _View, T: Float64, slack: float) -> tuple[Float32, Float32, int]:
+        """Return both greys where points of ``view`` agree with ``other``, and how many it sees through.
+
+        Args:
+            T: [4, 4] from the camera of ``view`` to that of ``other``.
+        """
+        k, c = self._camera, self._config
+        x = view.points @ T[:3, :3].T.astype(np.float32) + T[:3, 3].astype(np.float32)
+        front = x[:, 2] > 0.1
+        x, shades = x[front], view.shades[front]
+        u = np.rint(x[:, 0] / x[:, 2] * k.fx + k.cx)
+        v = np.rint(x[:, 1] / x[:, 2] * k.fy + k.cy)
+        inside = (u >= 0) & (u < k.width) & (v >= 0) & (v < k.height)
+        u, v, z, shades = u[inside].astype(int), v[inside].astype(int), x[inside, 2], shades[inside]
+        seen = other.depth[v, u]
+        gap = seen - z
+        tolerance = slack * (c.tolerance + c.growth * z)
+        agree = (seen > 0.0) & (np.abs(gap) < tolerance)
+        passed = int(np.count_nonzero((seen > 0.0) & (gap >= tolerance)))
+        return shades[agree], other.grey[v[agree], u[agree]], passed
+
+
+def _thinned(view: _View, step: int) -> _View:
+    return view if step == 1 else _View(view.grey, view.depth, view.points[::step], view.shades[::step])
+
+
+def _signature(view: _View) -> Float32:
+    """Return a tiny picture of grey and nearness as a vector of length 1: products say what is alike."""
+    nearness = np.divide(1.0, view.depth, out=np.zeros_like(view.depth), where=view.depth > 0.0)
+    parts = []
+    for image in (view.grey, nearness):
+        small = cv2.resize(image, (16, 12), interpolation=cv2.INTER_AREA).ravel()
+        small = small - small.mean()
+        parts.append(small / max(float(np.linalg.norm(small)), 1e-6))
+    return (np.concatenate(parts) / np.sqrt(2.0)).astype(np.float32)
+
+
+def _distances(poses: Float64, T_wc: Float64) -> Float64:
+    """Return [n] how far ``poses`` [n, 4, 4] are from ``T_wc``: the larger of metres and radians."""
+    cosines = (np.einsum("nij,ij->n", poses[:, :3, :3], T_wc[:3, :3]) - 1.0) / 2.0
+    angles = np.arccos(np.clip(cosines, -1.0, 1.0))
+    return np.maximum(np.linalg.norm(poses[:, :3, 3] - T_wc[:3, 3], axis=1), angles)
+
+
+def _correlation(a: Float32, b: Float32) -> float:
+    """Return the correlation of ``a`` and ``b`` [n]; 1 where one of them is all but constant."""
+    if len(a) < 20:
+        return 1.0
+    a, b = a - a.mean(), b - b.mean()
+    deviations = float(np.sqrt((a * a).mean())), float(np.sqrt((b * b).mean()))
+    if min(deviations) < 4.0:  # of 255: noise and rounding
+        return 1.0
+    return float((a * b).mean() / (deviations[0] * deviations[1]))

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+
+from ggwarp.geometry import se3
+from ggwarp.geometry.boxes import axis_aligned_box, main_parts, oriented_box
+
+SIZES = np.array([1.2, 0.5, 0.3])
+
+
+def _surface(rng: np.random.Generator, count: int = 6000) -> np.ndarray:
+    """Points on the faces of a box of ``SIZES`` about the origin, as a map's Gaussians lie."""
+    points = rng.uniform(-0.5, 0.5, (count, 3))
+    axis = rng.integers(0, 3, count)
+    points[np.arange(count), axis] = rng.choice([-0.5, 0.5], count)
+    return points * SIZES
+
+
+def test_a_turned_box_is_found_again(rng):
+    for _ in range(5):
+        R = se3.so3_exp(rng.normal(size=3))
+        box = oriented_box(_surface(rng) @ R.T + [1.0, 2.0, 3.0])
+        np.testing.assert_allclose(2.0 * np.array(box.half_sizes), SIZES, rtol=0.06)
+        np.testing.assert_allclose(box.centre, [1.0, 2.0, 3.0], atol=0.02)
+        np.testing.assert_allclose(np.abs(np.diag(R.T @ box.axes)), 1.0, atol=0.01)
+        assert np.linalg.det(box.axes) == pytest.approx(1.0)
+
+
+def test_half_a_box_still_gives_its_directions(rng):
+    """What a camera sees of a box: three faces. Principal axes would lean by tens of degrees."""
+    points = _surface(rng)
+    near = points[(points >= 0.499 * SIZES).any(axis=1)]
+    R = se3.so3_exp([0.3, -0.4, 0.6])
+    box = oriented_box(near @ R.T)
+    np.testing.assert_allclose(np.abs(np.diag(R.T @ box.axes)), 1.0, atol=0.01)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 50])
+@pytest.mark.parametrize("spread", [[0, 0, 0], [1, 0, 0], [1, 1, 0]])
+def test_points_without_volume_have_a_box(rng, count, spread):
+    points = rng.uniform(size=(count, 3)) * spread + 4.0
+    box = oriented_box(points)
+    assert np.isfinite([*box.centre, *box.quat, *box.half_sizes]).all()
+    assert list(box.half_sizes) == sorted(box.half_sizes, reverse=True)
+    local = (points - box.centre) @ box.axes
+    assert (np.abs(local) <= 1.1 * np.array(box.half_sizes) + 0.02).all()
+
+
+def test_the_same_points_in_another_order_give_the_same_box(rng):
+    points = _surface(rng, 500)
+    one, other = oriented_box(points), oriented_box(points[rng.permutation(500)])
+    np.testing.assert_allclose(one.quat, other.quat, atol=1e-9)
+
+
+def test_strays_are_no_part(rng):
+    body = rng.uniform(0, 1, (300, 3))
+    leg = rng.uniform(0, 0.2, (40, 3)) + np.array([3.0, 0.0, 0.0])
+    strays = rng.uniform(5, 50, (6, 3))
+    kept = main_parts(np.concatenate([body, leg, strays]))
+    assert kept[:340].mean() > 0.98 and not kept[340:].any()
+    assert main_parts(np.zeros((2, 3))).all() and main_parts(np.zeros((50, 3))).all()
+    assert len(main_parts(np.zeros((0, 3)))) == 0
+
+
+def test_the_upright_box_is_trimmed(rng):
+    points = rng.uniform(0, 1, (1000, 3))
+    points[0] = -7.0
+    box = axis_aligned_box(points)
+    assert min(box.low) >= 0.0 and max(box.high) <= 1.0

@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Direct alignment's normal equations, against NumPy's residuals and their finite differences."""
+
+import numpy as np
+import pytest
+import warp as wp
+
+from ggwarp.geometry import se3
+from ggwarp.geometry.camera import Camera
+from ggwarp.kernels.photometric import alignment
+from ggwarp.kernels.raster.project import intrinsics_of
+
+CAMERA = Camera(70, 11, 60.0, 62.0, 34.2, 5.1)
+NOISE, ROBUST, EDGE = 0.05, 3.0, 0.05
+EXPOSURE = (0.12, -0.03)
+MOTION = se3.se3_exp([0.03, -0.02, 0.015, 0.004, -0.006, 0.01])
+
+
+def smooth(rng: np.random.Generator, h: int, w: int) -> np.ndarray:
+    v, u = np.mgrid[:h, :w]
+    waves = [np.sin(a * u + b * v + c) for a, b, c in rng.uniform(0.05, 0.5, (3, 3))]
+    return 0.5 + 0.3 * np.stack(waves, -1)
+
+
+def views(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    h, w = CAMERA.height, CAMERA.width
+    rendered = np.zeros((h, w, 4), np.float32)
+    rendered[..., :3] = smooth(rng, h, w)
+    v, u = np.mgrid[:h, :w]
+    rendered[..., 3] = 2.0 + 0.004 * u + 0.01 * v
+    rendered[3, 20:23, 3] = 0.0  # a hole
+    rendered[:, 50:, 3] += 0.7  # an edge
+    observed = np.ones((h, w, 4), np.float32)
+    observed[..., :3] = smooth(rng, h, w)
+    return rendered, observed
+
+
+def compared(rendered: np.ndarray) -> np.ndarray:
+    z = rendered[..., 3]
+    inner, jump = z[1:-1, 1:-1], EDGE * z[1:-1, 1:-1]
+    ok = inner > 0
+    for other in (z[1:-1, :-2], z[1:-1, 2:], z[:-2, 1:-1], z[2:, 1:-1]):
+        ok &= np.abs(other - inner) <= jump
+    return np.argwhere(ok) + 1
+
+
+def residuals(
+    rendered: np.ndarray, observed: np.ndarray, pixels: np.ndarray, T: np.ndarray, a: float, b: float
+) -> np.ndarray:
+    """[n, 3]; NaN where the pixel is not seen."""
+    v, u = pixels.T
+    seen = rendered[v, u].astype(np.float64)
+    z = seen[:, 3]
+    x = np.stack([(u - CAMERA.cx) * z / CAMERA.fx, (v - CAMERA.cy) * z / CAMERA.fy, z], -1)
+    x = se3.transform_points(T, x)
+    p = CAMERA.fx * x[:, 0] / x[:, 2] + CAMERA.cx
+    q = CAMERA.fy * x[:, 1] / x[:, 2] + CAMERA.cy
+    h, w = observed.shape[:2]
+    inside = (p >= 0) & (q >= 0) & (p < w - 1) & (q < h - 1) & (x[:, 2] > 0.05)
+    p, q = np.where(inside, p, 0.0), np.where(inside, q, 0.0)
+    j, i = p.astype(int), q.astype(int)
+    s, t = (p - j)[:, None], (q - i)[:, None]
+    o = observed[..., :3].astype(np.float64)
+    value = (1 - t) * ((1 - s) * o[i, j] + s * o[i, j + 1])
+    value += t * ((1 - s) * o[i + 1, j] + s * o[i + 1, j + 1])
+    r = np.exp(a) * seen[:, :3] + b - value
+    return np.where(inside[:, None], r, np.nan)
+
+
+def system(
+    rendered: np.ndarray, observed: np.ndarray, motion: np.ndarray, device: str, depth_noise: float = 0.0
+) -> np.ndarray:
+    arrays = [wp.array(x, dtype=wp.vec4, device=device) for x in (rendered, observed)]
+    sums = wp.empty(
+        (alignment.item_count(*rendered.shape[:2]), alignment.SUMS), dtype=wp.float32, device=device
+    )
+    out = wp.zeros(alignment.SUMS, dtype=wp.float64, device=device)
+    alignment.linearise(
+        *arrays,
+        intrinsics_of(CAMERA),
+        motion=wp.mat44(*motion.astype(np.float32).ravel().tolist()),
+        exposure=EXPOSURE,
+        noise=(NOISE, ROBUST, EDGE, depth_noise),
+        sums=sums,
+        system=out,
+        device=device,
+    )
+    return out.numpy()
+
+
+def test_normal_equations_are_those_of_the_residuals(device: str, rng: np.random.Generator) -> None:
+    rendered, observed = views(rng)
+    pixels = compared(rendered)
+    r = residuals(rendered, observed, pixels, MOTION, *EXPOSURE)
+    seen = np.isfinite(r).all(1)
+    J = np.zeros((*r.shape, 8))
+    for k in range(8):
+        step = np.zeros(8)
+        step[k] = 1e-6
+        ends = [
+            residuals(
+                rendered,
+                observed,
+                pixels,
+                se3.se3_exp(sign * step[:6]) @ MOTION,
+                EXPOSURE[0] + sign * step[6],
+                EXPOSURE[1] + sign * step[7],
+            )
+            for sign in (1.0, -1.0)
+        ]
+        J[..., k] = (ends[0] - ends[1]) / 2e-6
+    # At a pixel's border the interpolated picture has a kink, where differences say nothing.
+    smooth_there = np.isfinite(J).all((1, 2)) & (np.abs(J).max((1, 2)) < 1e3)
+    assert smooth_there[seen].all()
+    e2 = (r[seen] ** 2).sum(1) / NOISE**2
+    share = ROBUST**2 / (ROBUST**2 + e2)
+    w = share**2 / NOISE**2
+    H = np.einsum("n,nci,ncj->ij", w, J[seen], J[seen])
+    g = np.einsum("n,nci,nc->i", w, J[seen], r[seen])
+
+    out = system(rendered, observed, MOTION, device)
+    assert out[45] == seen.sum() > 300
+    np.testing.assert_allclose(out[44], (e2 * share).sum(), rtol=1e-4)
+    np.testing.assert_allclose(out[:36], H[np.triu_indices(8)], rtol=2e-3, atol=2e-4 * np.abs(H).max())
+    np.testing.assert_allclose(out[36:44], g, rtol=2e-3, atol=2e-4 * np.abs(g).max())
+
+
+def test_depth_adds_point_to_plane_residuals(device: str, rng: np.random.Generator) -> None:
+    """Against finite differences of n . (y - x), with n and y held: y is a reading, n the render's."""
+    rendered, observed = views(rng)
+    observed[..., 3] = 2.1 + 0.003 * np.mgrid[: CAMERA.height, : CAMERA.width][1]
+    sigma = 0.08
+    added = system(rendered, observed, MOTION, device, sigma) - system(rendered, observed, MOTION, device)
+    H, g = np.zeros((8, 8)), np.zeros(8)
+    for v, u in compared(rendered):
+
+        def lifted(view: np.ndarray, v: int, u: int) -> np.ndarray:
+            z = float(view[v, u, 3])
+            return np.array([(u - CAMERA.cx) * z / CAMERA.fx, (v - CAMERA.cy) * z / CAMERA.fy, z])
+
+        across = lifted(rendered, v, u + 1) - lifted(rendered, v, u - 1)
+        n = np.cross(across, lifted(rendered, v + 1, u) - lifted(rendered, v - 1, u))
+        n = MOTION[:3, :3] @ (n / np.linalg.norm(n))
+        x = se3.transform_points(MOTION, lifted(rendered, v, u)[None])[0]
+        j = round(CAMERA.fx * x[0] / x[2] + CAMERA.cx)
+        i = round(CAMERA.fy * x[1] / x[2] + CAMERA.cy)
+        if not (0 <= i < CAMERA.height and 0 <= j < CAMERA.width):
+            continue
+        y = lifted(observed, i, j)
+        J = np.zeros(8)
+        for k, step in enumerate(1e-6 * np.eye(6)):
+            ends = [se3.transform_points(se3.se3_exp(s * step), x[None])[0] for s in (1.0, -1.0)]
+            J[k] = (n @ (y - ends[0]) - n @ (y - ends[1])) / 2e-6
+        e = n @ (y - x)
+        w = (ROBUST**2 / (ROBUST**2 + (e / sigma) ** 2)) ** 2 / sigma**2
+        H += w * np.outer(J, J)
+        g += w * e * J
+    # Rounding to the nearest reading may differ for a pixel or two on the border between them.
+    np.testing.assert_allclose(added[:36], H[np.triu_indices(8)], rtol=2e-2, atol=5e-3 * np.abs(H).max())
+    np.testing.assert_allclose(added[36:44], g, rtol=2e-2, atol=1e-2 * np.abs(g).max())
+    assert added[44] == added[45] == 0.0
+
+
+def test_a_second_call_gives_the_same_bits(device: str, rng: np.random.Generator) -> None:
+    rendered, observed = views(rng)
+    first = system(rendered, observed, MOTION, device)
+    assert (system(rendered, observed, MOTION, device) == first).all()
+
+
+@pytest.mark.parametrize("motion", [se3.se3_exp([0, 0, -9.0, 0, 0, 0]), se3.se3_exp([50.0, 0, 0, 0, 0, 0])])
+def test_what_is_behind_or_beside_the_camera_is_not_compared(device: str, rng, motion: np.ndarray) -> None:
+    assert not system(*views(rng), motion, device).any()
+
+
+def test_without_depth_nothing_is_compared(device: str, rng: np.random.Generator) -> None:
+    rendered, observed = views(rng)
+    rendered[..., 3] = 0.0
+    assert not system(rendered, observed, MOTION, device).any()

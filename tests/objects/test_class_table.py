@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ggwarp.objects.class_table import IGNORED, ClassTable
+
+
+def test_ids_become_classes_and_come_back() -> None:
+    table = ClassTable()
+    mask = np.array([[0, 7, 7], [300, 0, 65536]], np.int32)
+
+    classes = table.encode(mask)
+
+    assert classes.tolist() == [[0, 1, 1], [2, 0, 3]]
+    assert table.count == 4
+    assert (table.decode(classes) == mask).all()
+
+
+def test_classes_of_earlier_frames_stay() -> None:
+    table = ClassTable()
+    table.encode(np.array([[5]], np.int32))
+    assert table.encode(np.array([[3, 5]], np.int32)).tolist() == [[2, 1]]
+
+
+def test_negative_ids_are_ignored() -> None:
+    table = ClassTable()
+    assert table.encode(np.array([[-4, 2]], np.int32)).tolist() == [[IGNORED, 1]]
+    assert table.decode(np.array([IGNORED, 99])).tolist() == [0, 0]
+
+
+def test_objects_without_an_id_get_the_lowest_free_one() -> None:
+    table = ClassTable()
+    table.encode(np.array([[1, 3]], np.int32))
+    first, second = table.begin(), table.begin()
+    assert table.decode(np.array([first, second])).tolist() == [0, 0]
+    assert (table.name(second), table.name(second), table.name(first)) == (2, 2, 4)
+    # An id that turns out to be the masks' is theirs: what had it is named anew.
+    assert table.decode(table.encode(np.array([[2, 4]], np.int32))).tolist() == [[2, 4]]
+    assert table.decode(np.array([first, second])).tolist() == [6, 5]
+    assert table.sources() == {}
+    assert table.name(0) == 0
+
+
+def test_joined_classes_go_by_one_id() -> None:
+    table = ClassTable()
+    a, b, c = table.encode(np.array([5, 8, 9], np.int32)).tolist()
+    table.join(a, b)
+    table.join(b, c)
+    assert table.decode(np.array([a, b, c])).tolist() == [5, 5, 5]
+    assert table.encode(np.array([[9, 8, 0, -1]], np.int32)).tolist() == [[a, a, 0, IGNORED]]
+    assert table.joined(np.array([c, 0, IGNORED], np.int32)).tolist() == [a, 0, IGNORED]
+    assert table.sources() == {5: (5, 8, 9)}
+    assert table.ids.tolist() == [0, 5, 5, 5]
+
+
+def test_a_joined_object_keeps_the_name_that_one_of_them_had() -> None:
+    table = ClassTable()
+    nameless, named = table.begin(), table.begin()
+    table.name(named)
+    table.join(nameless, named)
+    assert table.decode(np.array([nameless, named])).tolist() == [1, 1]
+
+
+def test_no_object_is_not_joined() -> None:
+    table = ClassTable()
+    table.encode(np.array([7], np.int32))
+    with pytest.raises(ValueError, match="no object"):
+        table.join(0, 1)
+
+
+@given(st.lists(st.lists(st.integers(0, 100_000), min_size=1, max_size=30), max_size=5))
+def test_no_id_is_lost_or_merged(masks: list[list[int]]) -> None:
+    table = ClassTable()
+    for mask in masks:
+        array = np.array([mask], np.int32)
+        assert (table.decode(table.encode(array)) == array).all()
+    assert table.count == len({0}.union(*masks))

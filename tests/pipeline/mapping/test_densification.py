@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Gaussians that multiply where the loss pulls at them, and opacities that begin anew."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import warp as wp
+
+from ggwarp.datasets.built_in.synthetic import SyntheticOffice
+from ggwarp.geometry import se3
+from ggwarp.kernels.optim.adam import OPACITY_LANE
+from ggwarp.map.gaussians import GaussianBatch, GaussianMap
+from ggwarp.pipeline.mapping.densification import DensifyConfig, lower_opacities, multiply
+from ggwarp.pipeline.mapping.mapper import Mapper, MapperConfig
+
+CONFIG = DensifyConfig(interval=1, threshold=0.5, split_scale=0.1)
+
+
+def made(device: str, rng: np.random.Generator, count: int) -> GaussianMap:
+    gaussians = GaussianMap(device=device, has_identity=True, capacity=8)
+    quats = rng.normal(size=(count, 4)).astype(np.float32)
+    gaussians.append(
+        GaussianBatch(
+            means=rng.normal(size=(count, 3)).astype(np.float32),
+            quats=quats / np.linalg.norm(quats, axis=1, keepdims=True),
+            log_scales=np.log(np.tile(np.float32([[0.05, 0.02, 0.01]]), (count, 1))),
+            opacity_logits=rng.normal(size=count).astype(np.float32),
+            colours=rng.normal(size=(count, 3)).astype(np.float32),
+            identities=rng.normal(size=(count, 16)).astype(np.float32),
+            births=np.arange(count, dtype=np.int32),
+            votes=10 + np.arange(count, dtype=np.int32),
+        )
+    )
+    return gaussians
+
+
+def assign(gaussians: GaussianMap, name: str, values: np.ndarray) -> None:
+    whole = gaussians.fields[name].numpy().copy()
+    whole[: len(values)] = values
+    gaussians.fields[name].assign(whole)
+
+
+def test_small_ones_are_doubled_and_large_ones_split(device: str, rng: np.random.Generator) -> None:
+    gaussians = made(device, rng, 5)
+    large = gaussians.to_host()["log_scales"]
+    large[3] = np.log([0.3, 1e-6, 1e-6])
+    assign(gaussians, "log_scales", large)
+    # In the mean: 0.4, 0.6, none seen, 0.6, 0.5.
+    assign(gaussians, "pulls", np.float32([4.0, 6.0, 0.0, 1.2, 0.5]))
+    assign(gaussians, "pull_counts", np.int32([10, 10, 0, 2, 1]))
+    before = gaussians.to_host()
+
+    assert multiply(gaussians, CONFIG, rng) == 2
+
+    after = gaussians.to_host()
+    assert gaussians.count == 5 + 1 + 1
+    births = gaussians.fields["births"].numpy()[:7].tolist()
+    assert births == [0, 1, 2, 4, 1, 3, 3]
+    np.testing.assert_array_equal(gaussians.fields["votes"].numpy()[:7], 10 + np.array(births))
+    for name, values in after.items():
+        np.testing.assert_array_equal(values[:5], before[name][[0, 1, 2, 4, 1]], err_msg=name)
+        if name not in ("means", "log_scales"):
+            np.testing.assert_array_equal(values[5:], before[name][[3, 3]], err_msg=name)
+    np.testing.assert_allclose(after["log_scales"][5:], before["log_scales"][[3, 3]] - np.log(1.6), rtol=1e-5)
+    # The parts lie along the long axis.
+    axis = se3.matrix_from_quat(before["quats"][3])[:, 0]
+    moved = after["means"][5:] - before["means"][3]
+    np.testing.assert_allclose(moved, (moved @ axis)[:, None] * axis, atol=1e-4)
+    assert 0.0 < np.abs(moved).max() < 1.5 and not np.allclose(moved[0], moved[1])
+    assert not gaussians.fields["pulls"].numpy().any() and not gaussians.fields["pull_counts"].numpy().any()
+
+
+@pytest.mark.parametrize("count", [0, 1, 20])
+def test_without_pulls_nothing_changes(count: int, device: str, rng: np.random.Generator) -> None:
+    gaussians = made(device, rng, count)
+    version = gaussians.version
+    assert multiply(gaussians, CONFIG, rng) == 0 and gaussians.version == version
+    assign(gaussians, "pulls", np.full(count, np.nan, np.float32))
+    assert multiply(gaussians, CONFIG, rng) == 0, "NaN pulls at nothing"
+
+
+def test_unseen_opacities_are_lowered_and_forget_their_moments(device: str, rng: np.random.Generator) -> None:
+    gaussians = made(device, rng, 4)
+    assign(gaussians, "opacity_logits", np.float32([3.0, 3.0, -3.0, 3.0]))
+    for name in ("first", "second"):
+        assign(gaussians, name, np.ones((4, 16), np.float32))
+
+    lower_opacities(gaussians, np.array([True, False, False, False]), 0.4)
+
+    logit = np.log(0.4 / 0.6)
+    np.testing.assert_allclose(gaussians.to_host()["opacity_logits"], [3.0, logit, -3.0, logit], rtol=1e-6)
+    for name in ("first", "second"):
+        moments = gaussians.fields[name].numpy()[:4]
+        assert moments[:, OPACITY_LANE].tolist() == [1.0, 0.0, 1.0, 0.0]
+        assert (np.delete(moments, OPACITY_LANE, axis=1) == 1.0).all()
+
+
+def test_a_mapper_multiplies_what_it_cannot_fit(device: str) -> None:
+    office = SyntheticOffice(scale=0.1)
+    frame = office[0]
+    assert frame.T_wc is not None
+    maps: list[dict[str, np.ndarray]] = []
+    for interval in (0, 10, 10):
+        densify = DensifyConfig(interval=interval, offset=5, threshold=1e-4, split_scale=0.05)
+        config = MapperConfig(densify=densify)
+        mapper = Mapper(config, office.camera, device=device, use_identity=False)
+        mapper.insert(frame, frame.T_wc)
+        for _ in range(30):
+            mapper.iterate()
+        maps.append(mapper.map.to_host())
+    without, first, second = maps
+    assert 1.02 * len(without["means"]) < len(first["means"]) < 4 * len(without["means"])
+    for name, values in first.items():
+        np.testing.assert_array_equal(values, second[name], err_msg="twice the same")
+
+
+def test_a_mapper_resets_what_its_newest_keyframe_does_not_see(device: str) -> None:
+    office = SyntheticOffice(scale=0.1)
+    config = MapperConfig(densify=DensifyConfig(reset_interval=4))
+    mapper = Mapper(config, office.camera, device=device, use_identity=False)
+    for index in (0, 60):
+        frame = dataclasses.replace(office[index], index=index)
+        assert frame.T_wc is not None
+        mapper.insert(frame, frame.T_wc)
+    logits = np.full(mapper.map.count, 5.0, np.float32)
+    assign(mapper.map, "opacity_logits", logits)
+    for _ in range(3):
+        mapper.iterate()
+    assert (mapper.map.to_host()["opacity_logits"] > 2.0).all()
+    mapper.iterate()
+    low = mapper.map.to_host()["opacity_logits"] < 0.0
+    assert 0.2 < low.mean() < 0.9
+    wp.synchronize_device(device)

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+from collections import Counter
+
+import numpy as np
+
+from ggwarp.map.covisibility import Sight
+from ggwarp.pipeline.mapping.keyframe_sampler import RandomDrawing, WindowDrawing
+from ggwarp.pipeline.mapping.keyframe_window import WindowConfig
+from ggwarp.types import Float64
+
+
+def test_the_newest_comes_first_and_once(rng: np.random.Generator) -> None:
+    drawing = RandomDrawing(rng)
+    for _ in range(50):
+        drawing.add()
+    assert drawing.draw() == 49
+    drawing.add()
+    assert drawing.draw() == 50
+    assert Counter(drawing.draw() for _ in range(200)).most_common(1)[0][1] < 30
+
+
+def drawing_along_a_corridor(rng: np.random.Generator, steps: int) -> WindowDrawing:
+    """A keyframe each 0.2 m; views reach one metre, so that three metres back nothing is shared."""
+
+    def look(T_wc: Float64) -> Sight:
+        centres = np.arange(1000) / 50.0
+        return Sight(np.abs(centres - T_wc[0, 3]) < 0.5, 1.0)
+
+    def pose(k: int) -> Float64:
+        T = np.eye(4)
+        T[0, 3] = 0.2 * k
+        return T
+
+    drawing = WindowDrawing(rng, WindowConfig(size=4, cutoff=0.4), look, pose)
+    for _ in range(steps):
+        drawing.add()
+    return drawing
+
+
+def test_a_round_is_the_window_and_two_of_the_past(rng: np.random.Generator) -> None:
+    drawing = drawing_along_a_corridor(rng, 20)
+    assert drawing.window[-2:] == [18, 19]
+    assert len(drawing.window) <= 4 and min(drawing.window) >= 16
+    size = len(drawing.window) + 2
+    past = set()
+    for _ in range(20):
+        drawn = [drawing.draw() for _ in range(size)]
+        assert drawn[0] == 19
+        assert len(set(drawn)) == size and set(drawing.window) <= set(drawn)
+        past |= set(drawn) - set(drawing.window)
+    assert len(past) > 10, "all of the past has its turn"
+
+
+def test_the_first_keyframe_is_all_there_is(rng: np.random.Generator) -> None:
+    drawing = drawing_along_a_corridor(rng, 1)
+    assert [drawing.draw() for _ in range(3)] == [0, 0, 0]
+
+
+def test_a_new_keyframe_starts_a_new_round(rng: np.random.Generator) -> None:
+    drawing = drawing_along_a_corridor(rng, 2)
+    drawing.draw()
+    drawing.add()
+    assert sorted(drawing.draw() for _ in range(3)) == [0, 1, 2]

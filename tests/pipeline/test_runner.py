@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The loop over the frames: what comes out in which order, how it ends, that two threads change nothing."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ggwarp.datasets.built_in.synthetic import SyntheticOffice
+from ggwarp.pipeline.mapping.mapper import MapperConfig
+from ggwarp.pipeline.runner import AHEAD, SideError, run_steps
+from ggwarp.pipeline.scheduler import UncappedScheduler
+from ggwarp.pipeline.slam import Slam, SlamConfig
+from ggwarp.pipeline.tracking.gicp import GicpTracker
+from ggwarp.types import Frame
+
+BOTH_WAYS = pytest.mark.parametrize("beside", [False, True], ids=["in turn", "beside"])
+
+
+def frame(index: int) -> Frame:
+    return Frame(index, float(index), np.zeros((1, 1, 3), np.uint8))
+
+
+class Sides:
+    """Stands in for the system: notes what either side does, and fails where told."""
+
+    def __init__(self, *, fail_tracking: int = -1, fail_mapping: int = -1) -> None:
+        self.fail_tracking, self.fail_mapping = fail_tracking, fail_mapping
+        self.tracked: list[int] = []
+        self.mapped: list[int] = []
+        self.skipped = 0
+        self.may_map = threading.Event()
+        self.may_map.set()
+        self.blocked = threading.Event()
+
+    def track_frame(self, frame: Frame) -> Any:
+        if frame.index == self.fail_tracking:
+            self.may_map.set()
+            raise ZeroDivisionError("tracking broke")
+        self.tracked.append(frame.index)
+        if len(self.tracked) == len(self.mapped) + AHEAD + 2:
+            self.blocked.set()
+        return SimpleNamespace(frame=frame)
+
+    def map_frame(self, tracked: Any, waiting: Any) -> str:
+        self.may_map.wait()
+        if tracked.frame.index == self.fail_mapping:
+            raise ZeroDivisionError("mapping broke")
+        self.mapped.append(tracked.frame.index)
+        return f"mapped {tracked.frame.index}"
+
+    def leave_unmapped(self, tracked: Any) -> str:
+        return f"left {tracked.frame.index}"
+
+    def skip_frame(self) -> None:
+        self.skipped += 1
+
+    @contextlib.contextmanager
+    def in_two_threads(self) -> Any:
+        yield
+
+
+def run(sides: Sides, items: Any, **options: Any) -> tuple[list[tuple[int, Any]], SideError | None]:
+    """Return (index, report) of every item, and what ended the run."""
+    out: list[tuple[int, Any]] = []
+    try:
+        for item, report in run_steps(sides, items, **options):  # pyright: ignore[reportArgumentType]
+            out.append((item.index, report))
+    except SideError as error:
+        return out, error
+    finally:
+        assert not [t for t in threading.enumerate() if t.name == "ggwarp-tracking"], "the thread has ended"
+    return out, None
+
+
+@BOTH_WAYS
+def test_reports_come_in_order_and_missing_frames_keep_their_place(beside: bool) -> None:
+    sides = Sides()
+    items = [frame(0), frame(1), SimpleNamespace(index=2), frame(3)]
+    out, failure = run(sides, items, beside=beside)
+    assert failure is None
+    assert out == [(0, "mapped 0"), (1, "mapped 1"), (2, None), (3, "mapped 3")]
+    assert sides.skipped == 2, "the missing frame's time passes, and that of the one that does not come"
+
+
+@BOTH_WAYS
+def test_a_failed_tracker_ends_both_after_its_last_frame(beside: bool) -> None:
+    sides = Sides(fail_tracking=2)
+    out, failure = run(sides, map(frame, range(6)), beside=beside)
+    assert out == [(0, "mapped 0"), (1, "mapped 1")]
+    assert failure is not None and str(failure) == "tracking failed at frame 2"
+    assert isinstance(failure.__cause__, ZeroDivisionError)
+
+
+@BOTH_WAYS
+def test_a_failed_mapper_ends_both_and_keeps_every_pose(beside: bool) -> None:
+    sides = Sides(fail_mapping=1)
+    out, failure = run(sides, map(frame, range(20)), beside=beside)
+    assert out[:2] == [(0, "mapped 0"), (1, "left 1")]
+    assert [index for index, _ in out] == sides.tracked and len(out) <= 2 + AHEAD + 1
+    assert all(report == f"left {index}" for index, report in out[1:])
+    assert failure is not None and str(failure) == "mapping failed at frame 1"
+    assert isinstance(failure.__cause__, ZeroDivisionError)
+
+
+def test_the_first_failure_is_the_one_that_is_told() -> None:
+    sides = Sides(fail_mapping=0, fail_tracking=1)
+    sides.may_map.clear()  # until the tracker has failed, which nobody knows yet
+    _, failure = run(sides, map(frame, range(3)), beside=True)
+    assert failure is not None and str(failure) == "mapping failed at frame 0"
+
+
+@BOTH_WAYS
+def test_an_unreadable_source_ends_both(beside: bool) -> None:
+    def source() -> Any:
+        yield frame(4)
+        raise OSError("the disk is gone")
+
+    out, failure = run(Sides(), source(), beside=beside)
+    assert out == [(4, "mapped 4")]
+    assert failure is not None and str(failure) == "reading failed after frame 4"
+
+
+@BOTH_WAYS
+def test_a_stop_ends_it_with_every_pose(beside: bool) -> None:
+    sides = Sides()
+    out, failure = run(sides, map(frame, range(20)), beside=beside, stopped=lambda: 2 in sides.mapped)
+    assert failure is None and [index for index, _ in out] == sides.tracked
+    assert out[:3] == [(0, "mapped 0"), (1, "mapped 1"), (2, "mapped 2")]
+    assert sides.mapped == [0, 1, 2] and len(out) <= 3 + AHEAD + 1
+
+
+def test_the_tracker_runs_ahead_but_not_far() -> None:
+    sides = Sides()
+    sides.may_map.clear()
+    steps = run_steps(sides, map(frame, range(50)), beside=True)  # pyright: ignore[reportArgumentType]
+
+    def release() -> None:
+        assert sides.blocked.wait(10.0), "one at the mapper, AHEAD waiting, one in hand"
+        sides.may_map.set()
+
+    helper = threading.Thread(target=release)
+    helper.start()
+    next(steps)
+    helper.join()
+    assert len(sides.tracked) <= len(sides.mapped) + AHEAD + 2
+    steps.close()  # an abandoned loop leaves no thread behind
+    assert not [t for t in threading.enumerate() if t.name == "ggwarp-tracking"]
+    assert len(sides.tracked) < 50
+
+
+OFFICE = SyntheticOffice(scale=0.15)
+
+
+def office_run(device: str, *, beside: bool, scheduler: Any = None) -> Slam:
+    config = SlamConfig(mapper=MapperConfig(iterations=2, prune_interval=3))
+    slam = Slam(config, OFFICE.camera, OFFICE.camera, device=device, scheduler=scheduler)
+    for _ in run_steps(slam, (OFFICE[i] for i in range(0, 24, 4)), beside=beside):
+        pass
+    return slam
+
+
+def test_beside_is_in_turn_to_the_bit(device: str) -> None:
+    one, other = (office_run(device, beside=beside) for beside in (False, True))
+    assert one.keyframe_indices == other.keyframe_indices and len(one.keyframe_indices) >= 2
+    assert one.counts == other.counts
+    for a, b in zip(one.reports, other.reports, strict=True):
+        assert (a.T_wc == b.T_wc).all()
+        for name in ("index", "keyframe", "overlap", "gaussians", "loss", "mapping_iterations"):
+            assert getattr(a, name) == getattr(b, name), name
+    for name, values in vars(one.map_arrays()).items():
+        np.testing.assert_array_equal(values, getattr(other.map_arrays(), name), err_msg=name)
+
+
+def test_a_tracker_that_sees_the_gaussians_works_in_turn(
+    device: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(GicpTracker, "needs_gaussians", True, raising=False)
+    with pytest.raises(ValueError, match="in turn"):
+        office_run(device, beside=True)
+    assert len(office_run(device, beside=False).reports) == 6
+
+
+def test_uncapped_every_frame_is_fitted(device: str) -> None:
+    slam = office_run(device, beside=True, scheduler=UncappedScheduler())
+    assert all(r.mapping_iterations >= 1 for r in slam.reports)

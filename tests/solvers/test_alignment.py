@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Direct alignment finds the pose from which a picture of a painted plane was taken."""
+
+import numpy as np
+import pytest
+import warp as wp
+
+from ggwarp.geometry import se3
+from ggwarp.geometry.camera import Camera
+from ggwarp.solvers.alignment import Aligner, AlignmentConfig, Prior, halved
+
+CAMERA = Camera(120, 91, 110.0, 110.0, 59.5, 45.0)
+
+
+def seen_from(T_cw: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Colour [h, w, 3] and depth [h, w] of a slanted plane with waves painted on it."""
+    v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
+    rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)], -1)
+    T_wc = se3.inverse(T_cw)
+    rays = rays @ T_wc[:3, :3].T
+    n, d = np.array([0.2, -0.1, 1.0]), 2.0
+    depth = (d - n @ T_wc[:3, 3]) / (rays @ n)
+    x = T_wc[:3, 3] + depth[..., None] * rays
+    a, b = x[..., 0], x[..., 1]
+    waves = [np.sin(7 * a + 2 * b), np.sin(9 * b - 3 * a + 1), np.sin(5 * a) * np.cos(6 * b)]
+    return 0.5 + 0.35 * np.stack(waves, -1), depth
+
+
+def aligner(T_rw: np.ndarray, picture: np.ndarray, device: str) -> Aligner:
+    colour, depth = seen_from(T_rw)
+    shape = (96, 128)
+    image = np.zeros((4, *shape), np.float32)
+    image[:3, : CAMERA.height, : CAMERA.width] = colour.transpose(2, 0, 1)
+    image[3, : CAMERA.height, : CAMERA.width] = depth
+    made = Aligner(AlignmentConfig(), CAMERA, device=device)
+    made.take_picture(np.clip(255.0 * picture + 0.5, 0, 255).astype(np.uint8))
+    transmittance = wp.zeros(shape, dtype=wp.float32, device=device)
+    made.take_render(wp.array(image, device=device), transmittance, T_rw)
+    return made
+
+
+TRUE = se3.se3_exp([0.06, -0.04, 0.05, 0.02, 0.03, -0.02])
+
+
+def test_the_pose_is_found(device: str) -> None:
+    found = aligner(np.eye(4), seen_from(TRUE)[0], device).align(np.eye(4))
+    assert np.abs(se3.se3_log(found.T_cw @ se3.inverse(TRUE))).max() < 1e-3
+    assert found.system.mean_cost < 0.05 and found.system.pixels > 0.6 * CAMERA.width * CAMERA.height
+
+
+def test_brightness_is_found_beside_it(device: str) -> None:
+    picture = np.exp(-0.2) * seen_from(TRUE)[0] + 0.05
+    searched = aligner(np.eye(4), picture, device)
+    found, blind = searched.align(np.eye(4)), searched.align(np.eye(4), fit_exposure=False)
+    np.testing.assert_allclose(found.exposure, (-0.2, 0.05), atol=0.01)
+    assert blind.exposure == (0.0, 0.0)
+
+    def error(T_cw: np.ndarray) -> float:
+        return float(np.abs(se3.se3_log(T_cw @ se3.inverse(TRUE))).max())
+
+    assert error(found.T_cw) < 1.5e-3 and error(found.T_cw) < error(blind.T_cw)
+
+
+def test_a_prior_holds_what_it_knows(device: str) -> None:
+    searched = aligner(np.eye(4), seen_from(TRUE)[0], device)
+    firm = searched.align(np.eye(4), prior=Prior(np.eye(4), 1e12 * np.eye(6)))
+    assert np.abs(se3.se3_log(firm.T_cw)).max() < 1e-5
+    loose = searched.align(np.eye(4), prior=Prior(np.eye(4), 1e-6 * np.eye(6)))
+    assert np.abs(se3.se3_log(loose.T_cw @ se3.inverse(TRUE))).max() < 1e-3
+
+
+def test_a_blank_picture_moves_nothing(device: str) -> None:
+    found = aligner(np.eye(4), np.full((CAMERA.height, CAMERA.width, 3), 0.5), device).align(np.eye(4))
+    assert np.isfinite(found.T_cw).all()
+    assert np.abs(se3.se3_log(found.T_cw)).max() < 1e-6
+
+
+@pytest.mark.parametrize("size", [(120, 91), (33, 16)])
+def test_a_halved_camera_sees_the_means_of_four_pixels(size: tuple[int, int]) -> None:
+    camera = Camera(*size, 50.0, 60.0, 20.3, 11.7)
+    half = halved(camera)
+    assert (half.width, half.height) == (size[0] // 2, size[1] // 2)
+    # The ray of the four pixels' common corner is that of the coarse pixel's centre.
+    assert (2 * 3 + 0.5 - camera.cx) / camera.fx == pytest.approx((3 - half.cx) / half.fx)
+    assert (2 * 4 + 0.5 - camera.cy) / camera.fy == pytest.approx((4 - half.cy) / half.fy)
