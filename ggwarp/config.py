@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A run's configuration: the command's options and the owners' dataclasses, composed.
 
-Every part of the system keeps its options beside it (:class:`TrackerConfig`,
+Every part of the system keeps its options beside it (:class:`GicpConfig`,
 :class:`KeyframeConfig`, :class:`MapperConfig`); this module puts them under one roof, names the
 presets, and settles what was left open (device, image scale).
 """
@@ -22,9 +22,9 @@ from ggwarp.io.toml import TomlError, merged, read_toml
 from ggwarp.pipeline.mapping.keyframe_window import WindowConfig
 from ggwarp.pipeline.mapping.mapper import MapperConfig
 from ggwarp.pipeline.slam import KeyframePolicyKind, SlamConfig
-from ggwarp.pipeline.tracking.gicp import TrackerConfig
+from ggwarp.pipeline.tracking.gicp import GicpConfig
 from ggwarp.pipeline.tracking.hybrid import HybridConfig
-from ggwarp.pipeline.tracking.initialisation import MonoStartConfig
+from ggwarp.pipeline.tracking.initialisation import InitialisationConfig
 from ggwarp.pipeline.tracking.keyframe_policy import CovisibilityConfig, KeyframeConfig
 from ggwarp.pipeline.tracking.photometric import PhotometricConfig
 from ggwarp.pipeline.tracking.point_map import TrackableConfig
@@ -107,10 +107,10 @@ class RunConfig:
     built_in: SensorFaults = field(default_factory=SensorFaults)
     """What is wrong with the camera of a built-in scene (--seq office, wall); without options nothing is."""
 
-    gicp: TrackerConfig = field(default_factory=TrackerConfig)
+    gicp: GicpConfig = field(default_factory=GicpConfig)
     photometric: PhotometricConfig = field(default_factory=PhotometricConfig)
     hybrid: HybridConfig = field(default_factory=HybridConfig)
-    mono_start: MonoStartConfig = field(default_factory=MonoStartConfig)
+    initialisation: InitialisationConfig = field(default_factory=InitialisationConfig)
     keyframes: KeyframeConfig = field(default_factory=KeyframeConfig)
     trackable: TrackableConfig = field(default_factory=TrackableConfig)
     mapper: MapperConfig = field(default_factory=MapperConfig)
@@ -135,7 +135,7 @@ class RunConfig:
             covisibility=self.covisibility,
             window=self.window,
             monocular=self.mono,
-            mono_start=self.mono_start,
+            initialisation=self.initialisation,
             use_identity=self.use_identity,
             tracked_masks=self.tracked_masks,
         )

@@ -205,13 +205,13 @@ def execute(config: RunConfig, display: Display, interruption: Interruption, sta
     slam = Slam(
         system, reader.camera, reader.sensor_camera, device=device, scheduler=_scheduler(config, len(indices))
     )
-    beside = _beside(config, slam)
+    concurrent = _concurrent(config, slam)
     load_kernels(device, display)
     # The objects of untracked masks are numbered by the map.
     names = getattr(dataset, "class_names", {}) if config.tracked_masks else {}
     record = run_folder.RunRecord(name, dataset.kind, device, class_names=names, monocular=config.mono)
     with reader:
-        kept = track_and_map(slam, reader, record, display, interruption, beside=beside)
+        kept = track_and_map(slam, reader, record, display, interruption, concurrent=concurrent)
     if not record.reports and record.failure is None:
         if interruption.requested:
             raise KeyboardInterrupt
@@ -244,19 +244,19 @@ def _scheduler(config: RunConfig, frames: int) -> Scheduler | None:
     return UncappedScheduler() if config.fps == "uncapped" else LiveScheduler(config.fps, frames=frames)
 
 
-def _beside(config: RunConfig, slam: Slam) -> bool:
+def _concurrent(config: RunConfig, slam: Slam) -> bool:
     """Return whether to track beside the mapper.
 
     Raises:
         ConfigError: it is asked for, but tracking needs what is being mapped.
     """
-    if config.pipelined == "on" and slam.in_turn_only:
+    if config.pipelined == "on" and slam.sequential_only:
         raise ConfigError(
             "--pipelined on: here tracking looks at the Gaussians being mapped, and works in turn with "
             "mapping; leave the option out"
         )
     if config.pipelined == "auto":
-        return config.fps == "uncapped" and not slam.in_turn_only
+        return config.fps == "uncapped" and not slam.sequential_only
     return config.pipelined == "on"
 
 

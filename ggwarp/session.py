@@ -67,12 +67,12 @@ def track_and_map(
     display: Display,
     interruption: Interruption,
     *,
-    beside: bool = False,
+    concurrent: bool = False,
 ) -> list[Frame]:
     """Process the frames into ``record``; a failure of either side ends the loop and is kept there.
 
     Args:
-        beside: track in a second thread, beside the mapper.
+        concurrent: track in a second thread, beside the mapper.
 
     Returns:
         The frames, for the evaluation; none when they are too many to hold in memory.
@@ -82,7 +82,9 @@ def track_and_map(
     display.stage("frames", len(reader))
     started = time.perf_counter()
     try:
-        for item, step in run_steps(slam, reader, beside=beside, stopped=lambda: interruption.requested):
+        for item, step in run_steps(
+            slam, reader, concurrent=concurrent, stopped=lambda: interruption.requested
+        ):
             if step is None:
                 _skip(item, record, display)
                 continue
@@ -188,7 +190,7 @@ def evaluate(
         record.poses(),
         slam.render,
         mapped=slam.keyframe_indices,
-        watched=slam.watched_indices,
+        watched=slam.voting_indices,
         lpips=open_lpips(),
         on_view=on_view,
     )

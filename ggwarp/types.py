@@ -64,7 +64,7 @@ class Exposure:
         """Return the exposure that treats all channels alike."""
         return cls((log_gain, log_gain, log_gain), (offset, offset, offset))
 
-    def taken_back(self, rgb: NDArray[np.uint8]) -> Float32:
+    def undo_exposure(self, rgb: NDArray[np.uint8]) -> Float32:
         """Return the map's colours [h, w, 3], 0..1, of the picture ``rgb`` [h, w, 3]."""
         slope, offset = np.exp(np.negative(self.log_gain)) / 255.0, np.array(self.offset)
         return np.clip(rgb * slope - offset * (slope * 255.0), 0.0, 1.0).astype(np.float32)

@@ -58,13 +58,13 @@ class FakeSlam:
     on_track = staticmethod(lambda index: None)
     on_map = staticmethod(lambda index: None)
     on_refine = staticmethod(lambda done: None)
-    in_turn_only = False
+    sequential_only = False
     can_refine = True
 
     def __init__(self, config, camera, sensor_camera, *, device, scheduler=None):
         self.camera, self.device, self.scheduler = camera, device, scheduler
         self.refined = 0
-        self.keyframe_indices, self.watched_indices = [0, 1], [3]
+        self.keyframe_indices, self.voting_indices = [0, 1], [3]
         self.counts = {"tracking_keyframes": 1, "mapping_keyframes": 1, "frames_lost": 0}
 
     def track_frame(self, frame):
@@ -204,7 +204,7 @@ def test_ctrl_c_ends_the_refinement_only(scene, fake, monkeypatch, capsys):
 
 
 def test_a_tracker_that_works_in_turn(scene, fake, monkeypatch, capsys):
-    monkeypatch.setattr(fake, "in_turn_only", True)
+    monkeypatch.setattr(fake, "sequential_only", True)
     assert run.main(["--seq", "room9", "--device", "cpu", "--out", "o"]) == 0
     assert run.main(["--seq", "room9", "--device", "cpu", "--out", "o", "--pipelined", "on"]) == 2
     assert "--pipelined on: here tracking looks at the Gaussians" in capsys.readouterr().err.splitlines()[-1]

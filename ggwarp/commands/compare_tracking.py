@@ -24,7 +24,7 @@ from ggwarp.datasets import open_dataset
 from ggwarp.evaluation.trajectory import absolute_error
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
-from ggwarp.pipeline.tracking.gicp import GicpTracker, TrackerConfig
+from ggwarp.pipeline.tracking.gicp import GicpConfig, GicpTracker
 from ggwarp.pipeline.tracking.keyframe_policy import KeyframeConfig, KeyframeKind, OverlapKeyframes
 from ggwarp.pipeline.tracking.point_map import TrackableConfig, TrackableMap
 from ggwarp.pipeline.tracking.preprocess import observe
@@ -49,7 +49,7 @@ GS_ICP = PeerSettings((0.02,), False, 2e-3, 5e-4)
 class PeerTracker:
     """small_gicp behind our tracker's interface."""
 
-    def __init__(self, settings: PeerSettings, config: TrackerConfig, camera: Camera) -> None:
+    def __init__(self, settings: PeerSettings, config: GicpConfig, camera: Camera) -> None:
         self._settings = settings
         self._config = config
         self._camera = camera
@@ -159,7 +159,7 @@ def main() -> None:
     options = parser.parse_args()
     loading.init_quietly()
     launch.set_cpu_threads(options.threads)
-    config = TrackerConfig()
+    config = GicpConfig()
     print(f"{'sequence':28} {'tracker':22} {'ATE cm':>8} {'ms':>7} {'lost':>5}")
     for name in options.sequences:
         dataset = open_dataset(name, data_root=options.data, masks="none")

@@ -24,7 +24,7 @@ _OPAQUE = 0.95
 
 
 @dataclass(frozen=True)
-class Sight:
+class Visibility:
     """What one pose sees.
 
     Attributes:
@@ -36,7 +36,7 @@ class Sight:
     median_depth: float
 
 
-Look = Callable[[Float64], Sight]
+Look = Callable[[Float64], Visibility]
 """What a camera-to-world pose [4, 4] sees of the map."""
 
 
@@ -48,7 +48,7 @@ class Covisibility:
         self._renderer = Renderer(gaussians, camera, identity=False)
         self._flags: Any = None
 
-    def look(self, T_wc: Float64) -> Sight:
+    def look(self, T_wc: Float64) -> Visibility:
         """Return what the camera at ``T_wc`` [4, 4] sees."""
         renderer, camera, count = self._renderer, self._renderer.camera, self._map.count
         if self._flags is None or self._flags.shape[0] != self._map.capacity:
@@ -66,7 +66,7 @@ class Covisibility:
         opaque = renderer.plane(renderer.transmittance) < 1.0 - _OPAQUE
         depths = renderer.plane(renderer.median_depth)[opaque]
         median = float(np.median(depths)) if depths.size else float("nan")
-        return Sight(to_host(self._flags)[:count].astype(bool), median)
+        return Visibility(to_host(self._flags)[:count].astype(bool), median)
 
 
 def intersection_over_union(a: Seen, b: Seen) -> float:

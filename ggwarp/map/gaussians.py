@@ -47,7 +47,7 @@ class GaussianBatch:
         opacity_logits: [n] float32.
         colours: [n, 3] float32, degree-0 spherical harmonics.
         identities: [n, 16] float32; None where the map has no identities.
-        births: [n] int32, number of the keyframe that brought each; None: 0.
+        keyframe_ids: [n] int32, number of the keyframe that brought each; None: 0.
         votes: [n] int32, labels seen so far (:mod:`ggwarp.kernels.identity.label_fusion`); None: none.
     """
 
@@ -57,7 +57,7 @@ class GaussianBatch:
     opacity_logits: NDArray[np.float32]
     colours: NDArray[np.float32]
     identities: NDArray[np.float32] | None = None
-    births: NDArray[np.int32] | None = None
+    keyframe_ids: NDArray[np.int32] | None = None
     votes: NDArray[np.int32] | None = None
 
     def __len__(self) -> int:
@@ -74,8 +74,8 @@ class GaussianMap:
         version: grows whenever rows are added or removed.
         allocation: grows whenever ``fields`` become other arrays.
         fields: name -> array of ``capacity`` rows: the parameters, the optimiser's state,
-            ``births``, ``votes``, ``idle`` (:func:`ggwarp.kernels.optim.compact.count_idle`), ``pulls`` and
-            ``pull_counts`` (:func:`ggwarp.kernels.raster.project_adjoint.project_adjoint`).
+            ``keyframe_ids``, ``votes``, ``low_weight_counts`` (``optim.compact.count_low_weight``),
+            ``mean2d_gradient_norms`` and ``mean2d_gradient_counts`` (``raster.project_adjoint``).
     """
 
     def __init__(self, *, device: Any, has_identity: bool, capacity: int = 1 << 15) -> None:
@@ -86,8 +86,14 @@ class GaussianMap:
         self.allocation = 0
         names = [n for n in PARAMETERS if has_identity or n != "identities"]
         types = {n: PARAMETERS[n] for n in names}
-        types |= {"first": vec16, "second": vec16, "steps": wp.int32, "births": wp.int32, "idle": wp.int32}
-        types |= {"pulls": wp.float32, "pull_counts": wp.int32}
+        types |= {
+            "first": vec16,
+            "second": vec16,
+            "steps": wp.int32,
+            "keyframe_ids": wp.int32,
+            "low_weight_counts": wp.int32,
+        }
+        types |= {"mean2d_gradient_norms": wp.float32, "mean2d_gradient_counts": wp.int32}
         if has_identity:
             types |= {"first_identity": vec16, "second_identity": vec16, "votes": wp.int32}
         self.fields = {n: wp.zeros(capacity, dtype=t, device=self.device) for n, t in types.items()}

@@ -118,17 +118,21 @@ class Renderer:
         if self.make_room():
             self.forward(T_cw)
 
-    def adjoint(self, T_cw: wp.array, *, pose: bool = False, pulls: bool = False) -> None:
+    def adjoint(self, T_cw: wp.array, *, pose: bool = False, mean2d_gradient_norms: bool = False) -> None:
         """Chain ``d_image`` and ``d_transmittance`` to ``gradients``; after :meth:`forward`.
 
         Args:
             pose: write ``d_pose``, too.
-            pulls: add to the map's ``pulls`` and ``pull_counts``.
+            mean2d_gradient_norms: add to the map's ``mean2d_gradient_norms`` and ``mean2d_gradient_counts``.
         """
         g = self.gradients
         outputs = {f"d_{name}": getattr(g, name) for name in PARAMETERS} | {"weights": self.weights}
         fields = self._map.fields
-        counted = (fields["pulls"], fields["pull_counts"]) if pulls else None
+        counted = (
+            (fields["mean2d_gradient_norms"], fields["mean2d_gradient_counts"])
+            if mean2d_gradient_norms
+            else None
+        )
         self._chain(T_cw, outputs, self._pose_scratch() if pose else (), counted)
 
     def adjoint_pose(self, T_cw: wp.array) -> None:
@@ -140,7 +144,7 @@ class Renderer:
         T_cw: wp.array,
         outputs: dict[str, wp.array],
         pose: tuple[wp.array, ...],
-        pulls: tuple[wp.array, wp.array] | None = None,
+        mean2d_gradient_norms: tuple[wp.array, wp.array] | None = None,
     ) -> None:
         m = self._map.parameters
         composite_adjoint(
@@ -158,7 +162,8 @@ class Renderer:
         project_adjoint(
             m.means, m.quats, m.log_scales, m.opacity_logits, m.colours,
             T_cw=T_cw, camera=self._intrinsics, count=self.rows,
-            tiles=self.tiles, slots=self._slots, pulls=pulls, d_pose_scratch=pose, **outputs,
+            tiles=self.tiles, slots=self._slots,
+            mean2d_gradient_norms=mean2d_gradient_norms, d_pose_scratch=pose, **outputs,
         )  # fmt: skip
 
     @property

@@ -20,7 +20,7 @@ from ggwarp.objects.tentative import Candidates, View
 
 
 @dataclass(frozen=True)
-class MatchingConfig:
+class AssociationConfig:
     """When a segment is an object of the map, and when it is a new one."""
 
     least_iou: float = 0.2
@@ -53,7 +53,7 @@ class Matching:
 
 
 @dataclass(frozen=True)
-class Understood:
+class AssociatedMask:
     """What a mask means.
 
     Attributes:
@@ -67,7 +67,7 @@ class Understood:
     fresh: set[int] = field(default_factory=set)
 
 
-def match_segments(segments: Labels, known: Labels, classes: int, config: MatchingConfig) -> Matching:
+def match_segments(segments: Labels, known: Labels, classes: int, config: AssociationConfig) -> Matching:
     """Match a frame's segments with the map's objects.
 
     Args:
@@ -103,17 +103,17 @@ def match_segments(segments: Labels, known: Labels, classes: int, config: Matchi
     return Matching(np.where(part, best, out), new, paired, rest)
 
 
-class SegmentMatcher:
+class SegmentAssociation:
     """Finds each frame's segments among the map's objects, and begins new ones."""
 
-    def __init__(self, config: MatchingConfig, classes: ClassTable) -> None:
+    def __init__(self, config: AssociationConfig, classes: ClassTable) -> None:
         """Prepare to match; ``classes`` grows with every object that begins."""
         self._config = config
         self._classes = classes
         self._sightings: Counter[int] = Counter()
         self._candidates = Candidates(config.sightings)
 
-    def match(self, mask: Labels, known: Labels | None, view: View) -> Understood:
+    def match(self, mask: Labels, known: Labels | None, view: View) -> AssociatedMask:
         """Return what ``mask`` [h, w] means.
 
         Args:
@@ -137,7 +137,7 @@ class SegmentMatcher:
                 self._classes.name(index)
         of_segment = np.append(classes, IGNORED)  # of no segment: the last
         labels = np.where(mask == NO_OBJECT, NO_OBJECT, of_segment[segments])
-        return Understood(labels.astype(np.int32), segments, fresh)
+        return AssociatedMask(labels.astype(np.int32), segments, fresh)
 
     def _follow(self, segments: Labels, matching: Matching, classes: Labels, view: View) -> set[int]:
         """Write the class of segments that are objects inside others; return those classes."""

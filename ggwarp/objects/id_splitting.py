@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggwarp.geometry.boxes import linked_parts
-from ggwarp.geometry.voxels import cell_middles, cell_numbers
+from ggwarp.geometry.voxels import voxel_centres, voxel_keys
 from ggwarp.objects.class_table import IGNORED, ClassTable
 from ggwarp.objects.labels import Labels, solid, thinned
 from ggwarp.objects.tentative import View
@@ -28,7 +28,7 @@ _TOUCHING = 1.8 * _CELL  # between the centres of neighbouring cells, corner to 
 
 
 @dataclass(frozen=True)
-class NamesakesConfig:
+class SplittingConfig:
     """When an id's objects are two."""
 
     sightings: int = 3
@@ -57,27 +57,27 @@ class _Part:
     @property
     def diameter(self) -> float:
         """Metres."""
-        return float(np.linalg.norm(np.ptp(cell_middles(self.cells, _CELL), axis=0) + _CELL))
+        return float(np.linalg.norm(np.ptp(voxel_centres(self.cells, _CELL), axis=0) + _CELL))
 
     def distances(self, points: Float64) -> Float64:
         """Return [k] how far each of ``points`` [k, 3] is from it, metres."""
-        return _tree(cell_middles(self.cells, _CELL)).query(points)[0]
+        return _tree(voxel_centres(self.cells, _CELL)).query(points)[0]
 
     def gap(self, other: _Part) -> float:
         """Return the distance between the two, metres."""
         if np.intersect1d(self.cells, other.cells, assume_unique=True).size:
             return 0.0  # as nearly always, and a hundred times as fast
-        return float(self.distances(cell_middles(other.cells, _CELL)).min())
+        return float(self.distances(voxel_centres(other.cells, _CELL)).min())
 
     def take(self, other: _Part) -> None:
         self.cells = np.union1d(self.cells, other.cells)
         self.views += 1
 
 
-class Namesakes:
+class SharedIdSplitter:
     """Knows where each id's objects are, and tells them apart."""
 
-    def __init__(self, config: NamesakesConfig, classes: ClassTable) -> None:
+    def __init__(self, config: SplittingConfig, classes: ClassTable) -> None:
         """Prepare to look; ``classes`` grows with every object that is told from its namesake."""
         self._config = config
         self._classes = classes
@@ -141,7 +141,7 @@ class Namesakes:
             pixels &= (known < 0) | (self._classes.namesake_of(known) == given)
         least = self._config.least_area * given[grid].size
         labels = given[pixels]
-        cells = cell_numbers(view.every_point(pixels), _CELL)
+        cells = voxel_keys(view.every_point(pixels), _CELL)
         for label in np.unique(labels).tolist():
             places, counts = np.unique(cells[labels == label], return_counts=True)
             for members in self._parts_of(places):
@@ -151,7 +151,7 @@ class Namesakes:
     def _parts_of(self, places: NDArray[np.int64]) -> list[NDArray[np.intp]]:
         """Return the members of each part of what a frame shows of an id: cells ``places`` [k]."""
         if self._config.within_frames:
-            return _clusters(cell_middles(places, _CELL), self._config.least_gap)
+            return _clusters(voxel_centres(places, _CELL), self._config.least_gap)
         return [np.arange(len(places))]
 
     def _place(self, label: int, part: _Part) -> None:

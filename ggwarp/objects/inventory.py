@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ggwarp.geometry.boxes import Box, OrientedBox, Vector, axis_aligned_box, main_parts, oriented_box
 from ggwarp.map.gaussians import SH_C0
 from ggwarp.objects.class_table import NO_OBJECT
-from ggwarp.objects.visibility import Sightings
+from ggwarp.objects.visibility import ObjectVisibility
 from ggwarp.types import Float32
 
 
@@ -100,7 +100,7 @@ def inventory(
     *,
     names: dict[int, str] | None = None,
     sources: dict[int, tuple[int, ...]] | None = None,
-    sightings: Sightings | None = None,
+    sightings: ObjectVisibility | None = None,
     probabilities: Float32 | None = None,
 ) -> list[ObjectRecord]:
     """Describe every object of a map.

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ggwarp.geometry.voxels import cell_numbers
+from ggwarp.geometry.voxels import voxel_keys
 from ggwarp.objects.labels import Labels, contingency, ranked, thinned
 from ggwarp.objects.tentative import View
 
@@ -52,7 +52,7 @@ class LabelHistory:
         grid[thinned(*known.shape)] = True
         pixels = grid & (known >= 0) & (given >= 0) & (view.depth > 0.0)
         objects, labels = known[pixels], given[pixels]
-        places = _places(cell_numbers(view.every_point(pixels), _CELL), objects, labels)
+        places = _places(voxel_keys(view.every_point(pixels), _CELL), objects, labels)
         if anew:
             self._views.update(places.labelled)
         table = contingency(objects, labels, max(objects.max(initial=0), labels.max(initial=0)) + 1)

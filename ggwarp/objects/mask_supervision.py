@@ -26,13 +26,13 @@ from ggwarp.kernels.identity.label_fusion import fuse_labels, gather_evidence
 from ggwarp.kernels.math import vec16
 from ggwarp.kernels.raster.project import intrinsics_of
 from ggwarp.map.gaussians import GaussianMap
-from ggwarp.objects.association import MatchingConfig, SegmentMatcher, Understood
+from ggwarp.objects.association import AssociatedMask, AssociationConfig, SegmentAssociation
 from ggwarp.objects.class_table import IGNORED, NO_OBJECT, ClassTable
 from ggwarp.objects.classifier import Classifier
-from ggwarp.objects.id_splitting import Namesakes, NamesakesConfig
+from ggwarp.objects.id_splitting import SharedIdSplitter, SplittingConfig
 from ggwarp.objects.label_history import LabelHistory, corrected
 from ggwarp.objects.labels import Labels, filled
-from ggwarp.objects.merging import Joining, JoiningConfig
+from ggwarp.objects.merging import MergingConfig, ObjectMerger
 from ggwarp.objects.tentative import View
 from ggwarp.runtime.streams import to_host
 from ggwarp.types import Float64, Frame, Rendered
@@ -62,13 +62,13 @@ class SupervisionConfig:
     measured; 0: none does."""
     revise: int = 1
     """Every so many frames a past keyframe, in turn, is held against what the map knows by now; 0: none."""
-    joining: JoiningConfig = field(default_factory=JoiningConfig)
-    namesakes: NamesakesConfig = field(default_factory=NamesakesConfig)
-    matching: MatchingConfig = field(default_factory=MatchingConfig)
+    joining: MergingConfig = field(default_factory=MergingConfig)
+    namesakes: SplittingConfig = field(default_factory=SplittingConfig)
+    matching: AssociationConfig = field(default_factory=AssociationConfig)
 
 
 @dataclass(frozen=True)
-class Lesson:
+class LabelTargets:
     """What a keyframe teaches about objects.
 
     Attributes:
@@ -127,15 +127,15 @@ class ObjectSupervision:
         self._classifier = classifier
         self._device = gaussians.device
         self._camera, self._intrinsics = camera, intrinsics_of(camera)
-        self._matcher = None if tracked else SegmentMatcher(config.matching, classes)
+        self._matcher = None if tracked else SegmentAssociation(config.matching, classes)
         self._history = LabelHistory()
-        self._joining = Joining(config.joining)
-        self._namesakes = Namesakes(config.namesakes, classes)
+        self._joining = ObjectMerger(config.joining)
+        self._namesakes = SharedIdSplitter(config.namesakes, classes)
         self._given: dict[int, NDArray[np.uint8]] = {}
 
     def teach(
         self, frame: Frame, T_wc: Float64, rendered: Rendered | None, *, keep: bool = True
-    ) -> Lesson | None:
+    ) -> LabelTargets | None:
         """Let ``frame``'s mask vote, and return what else it teaches; None: nothing at all.
 
         Args:
@@ -155,19 +155,19 @@ class ObjectSupervision:
         given = mask.labels
         self._classifier.grow(self._classes.count)
         if c.votes == 0:
-            return Lesson(given, given, given)
+            return LabelTargets(given, given, given)
         if keep and c.revise > 0:
             self._given[frame.index] = _packed(given)
         if knows is None or known is None:
-            return Lesson(given, given, filled(given))
+            return LabelTargets(given, given, filled(given))
         labels = self._put_right(known, given, view)
         self._fuse(T_cw, depth, labels, mask.fresh)
         self._merge(known, mask.segments, frame.index)
         contradicting = knows.with_evidence(c.contradiction)
-        return Lesson(labels, _uncontradicted(labels, contradicting), filled(labels))
+        return LabelTargets(labels, _uncontradicted(labels, contradicting), filled(labels))
 
     def revise(self, frame: Frame, T_wc: Float64, rendered: Rendered) -> Labels | None:
-        """Return :attr:`Lesson.targets` of a past keyframe as the map sees it by now; None: it has none.
+        """Return a past keyframe's ``LabelTargets.targets`` as the map sees it by now; None: it has none.
 
         Args:
             frame: the keyframe; its mask does not matter.
@@ -206,14 +206,16 @@ class ObjectSupervision:
         assert frame.depth is not None
         return View(frame.depth, T_wc, self._camera)
 
-    def _understood(self, mask: Labels, view: View, seen: Labels | None, known: Labels | None) -> Understood:
+    def _understood(
+        self, mask: Labels, view: View, seen: Labels | None, known: Labels | None
+    ) -> AssociatedMask:
         """Return which object each of the mask's pixels is of; ``seen``, ``known``: None without a map."""
         if self._matcher is not None:
             return self._matcher.match(mask, seen, view)
         given, fresh = self._classes.encode(mask), set[int]()
         if self._config.votes > 0:
             given, fresh = self._namesakes.tell_apart(given, known, view)
-        return Understood(given, np.where(given == NO_OBJECT, IGNORED, given), fresh)
+        return AssociatedMask(given, np.where(given == NO_OBJECT, IGNORED, given), fresh)
 
     def _put_right(self, known: Labels, given: Labels, view: View, *, anew: bool = True) -> Labels:
         """Return the labels of a mask with those replaced that are wrong about an object of the map."""
@@ -283,7 +285,9 @@ def _unpacked(packed: NDArray[np.uint8]) -> Labels:
     return np.asarray(cv2.imdecode(packed, cv2.IMREAD_UNCHANGED), np.int32) + IGNORED
 
 
-def _without_mask(seen: Labels) -> Lesson:
+def _without_mask(seen: Labels) -> LabelTargets:
     """A frame without a mask votes for nothing; what begins there goes with its surroundings for now."""
     nothing = np.full_like(seen, IGNORED)
-    return Lesson(nothing, nothing, filled(seen) if (seen >= 0).any() else np.full_like(seen, NO_OBJECT))
+    return LabelTargets(
+        nothing, nothing, filled(seen) if (seen >= 0).any() else np.full_like(seen, NO_OBJECT)
+    )

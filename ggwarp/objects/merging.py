@@ -16,7 +16,7 @@ from ggwarp.objects.labels import Labels, contingency, thinned
 
 
 @dataclass(frozen=True)
-class JoiningConfig:
+class MergingConfig:
     """When two objects of the map become one."""
 
     together: int = 2
@@ -29,10 +29,10 @@ class JoiningConfig:
     """... which is at least this share of the image."""
 
 
-class Joining:
+class ObjectMerger:
     """Counts how often two objects were shown as one, and as two."""
 
-    def __init__(self, config: JoiningConfig) -> None:
+    def __init__(self, config: MergingConfig) -> None:
         self._config = config
         self._together: Counter[tuple[int, int]] = Counter()
         self._apart: Counter[tuple[int, int]] = Counter()

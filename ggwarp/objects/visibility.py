@@ -16,7 +16,7 @@ _LEAST_SHARE = 1e-4  # of the image: less is a dot in a mask
 
 
 @dataclass(frozen=True)
-class Sighting:
+class VisibleFrames:
     """When an object was seen.
 
     Attributes:
@@ -29,7 +29,7 @@ class Sighting:
     views: int
 
 
-class Sightings:
+class ObjectVisibility:
     """The keyframes of every object, by any number."""
 
     def __init__(self) -> None:
@@ -41,14 +41,14 @@ class Sightings:
         for identifier in ids[(counts > _LEAST_SHARE * mask.size) & (ids > NO_OBJECT)].tolist():
             self._frames.setdefault(identifier, set()).add(index)
 
-    def renamed(self, names: NDArray[np.integer[Any]]) -> Sightings:
+    def renamed(self, names: NDArray[np.integer[Any]]) -> ObjectVisibility:
         """Return the same with object i as ``names[i]``; objects of one name are one."""
-        out = Sightings()
+        out = ObjectVisibility()
         for number, frames in self._frames.items():
             out._frames.setdefault(int(names[number]), set()).update(frames)
         return out
 
-    def of(self, ids: Iterable[int]) -> Sighting | None:
+    def of(self, ids: Iterable[int]) -> VisibleFrames | None:
         """Return when any of ``ids`` was seen; None: never."""
         frames = set().union(*(self._frames.get(i, set()) for i in ids))
-        return Sighting(min(frames), max(frames), len(frames)) if frames else None
+        return VisibleFrames(min(frames), max(frames), len(frames)) if frames else None

@@ -37,25 +37,25 @@ class SideError(RuntimeError):
 
 
 def run_steps(
-    slam: Slam, items: Iterable[Any], *, beside: bool = False, stopped: Callable[[], bool] = lambda: False
+    slam: Slam, items: Iterable[Any], *, concurrent: bool = False, stopped: Callable[[], bool] = lambda: False
 ) -> Iterator[tuple[Any, StepReport | None]]:
     """Process the frames among ``items``; yield every item in order, each frame with its report.
 
     Args:
         items: frames, and anything else in place of a frame that is missing.
-        beside: track in a second thread, up to :data:`AHEAD` frames ahead of the mapper.
+        concurrent: track in a second thread, up to :data:`AHEAD` frames ahead of the mapper.
         stopped: asked between frames whether to end early.
 
     Raises:
         SideError: one side failed; both have ended. Every tracked frame was yielded before.
-        ValueError: ``beside``, but tracking looks at the Gaussians being mapped.
+        ValueError: ``concurrent``, but tracking looks at the Gaussians being mapped.
     """
     halted = threading.Event()
     source = _tracked(slam, items, lambda: halted.is_set() or stopped())
     failure: SideError | None = None
     with contextlib.ExitStack() as stack:
         waiting = None
-        if beside:
+        if concurrent:
             stack.enter_context(slam.in_two_threads())
             source = stack.enter_context(_Ahead(source, AHEAD, halted))
             waiting = source.waiting
@@ -64,7 +64,7 @@ def run_steps(
                 if tracked is None:
                     yield item, None
                     continue
-                if failure is not None or (beside and stopped()):
+                if failure is not None or (concurrent and stopped()):
                     report = slam.leave_unmapped(tracked)
                 else:
                     report, failure = _mapped(slam, tracked, waiting)

@@ -36,11 +36,11 @@ class Arrival:
 class Scheduler(Protocol):
     """Has one method for either side; they may be called from two threads."""
 
-    def take_up(self) -> Arrival:
+    def wait_for_frame(self) -> Arrival:
         """Wait until the next frame has arrived (the tracker's side)."""
         ...
 
-    def wants_more(self, done: int, waiting: Waiting | None) -> bool:
+    def should_continue(self, done: int, waiting: Waiting | None) -> bool:
         """Return whether the mapper goes on with a frame after ``done`` iterations (the mapper's side).
 
         Args:
@@ -57,10 +57,10 @@ class SynchronousScheduler:
             raise ValueError(f"mapping iterations a frame: {iterations}, but at least 0 is needed")
         self._iterations = iterations
 
-    def take_up(self) -> Arrival:
+    def wait_for_frame(self) -> Arrival:
         return Arrival()
 
-    def wants_more(self, done: int, waiting: Waiting | None) -> bool:
+    def should_continue(self, done: int, waiting: Waiting | None) -> bool:
         return done < self._iterations
 
 
@@ -74,10 +74,10 @@ class UncappedScheduler:
         """``minimum``: iterations that every frame gets, so that new Gaussians are fitted at all."""
         self._minimum = minimum
 
-    def take_up(self) -> Arrival:
+    def wait_for_frame(self) -> Arrival:
         return Arrival()
 
-    def wants_more(self, done: int, waiting: Waiting | None) -> bool:
+    def should_continue(self, done: int, waiting: Waiting | None) -> bool:
         return done < self._minimum or (waiting is not None and not waiting())
 
 
@@ -108,7 +108,7 @@ class LiveScheduler:
         self._iteration_s = 0.0
         self._last_check: float | None = None
 
-    def take_up(self) -> Arrival:
+    def wait_for_frame(self) -> Arrival:
         now = self._clock()
         if self._start is None:
             self._start = now
@@ -123,7 +123,7 @@ class LiveScheduler:
         behind = min(int(delay / self._period), max(0, self._total - self._frames))
         return Arrival(delay, self._late, int(behind))
 
-    def wants_more(self, done: int, waiting: Waiting | None) -> bool:
+    def should_continue(self, done: int, waiting: Waiting | None) -> bool:
         if waiting is not None:
             # Mapping takes computing time from a tracker that is late: none of it until that has caught up.
             return not self._late and not waiting()
@@ -131,6 +131,6 @@ class LiveScheduler:
         if self._last_check is not None:
             self._iteration_s = now - self._last_check
         self._last_check = now
-        assert self._start is not None, "take_up comes first"
+        assert self._start is not None, "wait_for_frame comes first"
         due = self._start + self._frames * self._period
         return now + self._iteration_s <= due

@@ -26,9 +26,9 @@ from ggwarp.objects.linear_classifier import LinearClassifier
 from ggwarp.pipeline.mapping.keyframe_window import WindowConfig
 from ggwarp.pipeline.mapping.mapper import Mapper, MapperConfig
 from ggwarp.pipeline.scheduler import Arrival, Scheduler, SynchronousScheduler, Waiting
-from ggwarp.pipeline.tracking.gicp import TrackerConfig
+from ggwarp.pipeline.tracking.gicp import GicpConfig
 from ggwarp.pipeline.tracking.hybrid import HybridConfig
-from ggwarp.pipeline.tracking.initialisation import MonoStartConfig
+from ggwarp.pipeline.tracking.initialisation import InitialisationConfig
 from ggwarp.pipeline.tracking.keyframe_policy import (
     CovisibilityConfig,
     CovisibilityKeyframes,
@@ -54,7 +54,7 @@ class SlamConfig:
 
     tracker: TrackerKind = "gicp"
     """How poses are found."""
-    gicp: TrackerConfig = field(default_factory=TrackerConfig)
+    gicp: GicpConfig = field(default_factory=GicpConfig)
     photometric: PhotometricConfig = field(default_factory=PhotometricConfig)
     hybrid: HybridConfig = field(default_factory=HybridConfig)
     keyframes: KeyframeConfig = field(default_factory=KeyframeConfig)
@@ -66,7 +66,7 @@ class SlamConfig:
     window: WindowConfig = field(default_factory=WindowConfig)
     monocular: bool = False
     """Frames have no depth."""
-    mono_start: MonoStartConfig = field(default_factory=MonoStartConfig)
+    initialisation: InitialisationConfig = field(default_factory=InitialisationConfig)
     use_identity: bool = True
     """Learn which object each Gaussian belongs to (GG-SLAM); False is GS-ICP-SLAM."""
     tracked_masks: bool = True
@@ -153,7 +153,7 @@ class Slam:
             gicp=config.gicp,
             photometric=config.photometric,
             hybrid=config.hybrid,
-            mono_start=config.mono_start if config.monocular else None,
+            initialisation=config.initialisation if config.monocular else None,
             sensor_camera=sensor_camera,
             renderer=Renderer(self._mapper.map, camera, identity=False),
             device=device,
@@ -166,7 +166,7 @@ class Slam:
 
     def track_frame(self, frame: Frame) -> Tracked:
         """Find the next frame's pose and what it adds (the tracker's side)."""
-        arrival = self._scheduler.take_up()
+        arrival = self._scheduler.wait_for_frame()
         started = time.perf_counter()
         with self._lanes[0]:
             result = self._track(frame)
@@ -181,7 +181,7 @@ class Slam:
 
         Args:
             tracked: frames in the order in which they were tracked.
-            waiting: where tracking runs beside: says whether the next frame waits already.
+            waiting: where tracking runs concurrent: says whether the next frame waits already.
         """
         started = time.perf_counter()
         lane = self._lanes[1]
@@ -197,16 +197,16 @@ class Slam:
             with lane:
                 self._mapper.iterate()
         done = 0
-        while self._mapper.ready and self._scheduler.wants_more(done, waiting):
+        while self._mapper.ready and self._scheduler.should_continue(done, waiting):
             with lane:
                 self._mapper.iterate()
             done += 1
         with lane:
-            loss = self._mapper.settle()
+            loss = self._mapper.synchronise()
             if tracked.kind is not KeyframeKind.NONE and self._mapper.fits_poses:
                 T_wc = self._mapper.keyframe_pose(-1)
-                self._policy.moved(T_wc)
-                self._tracker.moved(T_wc)
+                self._policy.on_pose_corrected(T_wc)
+                self._tracker.on_pose_corrected(T_wc)
         return self._report(tracked, bootstrap + done, loss, time.perf_counter() - started)
 
     def leave_unmapped(self, tracked: Tracked) -> StepReport:
@@ -220,7 +220,7 @@ class Slam:
         Raises:
             ValueError: tracking looks at the Gaussians being mapped.
         """
-        if self.in_turn_only:
+        if self.sequential_only:
             raise ValueError(
                 "this tracker looks at the Gaussians being mapped: it works in turn with the mapper"
             )
@@ -235,7 +235,7 @@ class Slam:
 
     def skip_frame(self) -> None:
         """Let the time of a frame pass that cannot be used."""
-        self._scheduler.take_up()
+        self._scheduler.wait_for_frame()
 
     @property
     def can_refine(self) -> bool:
@@ -245,14 +245,14 @@ class Slam:
     def refine(self) -> None:
         """Fit the map once more, without a new frame."""
         self._mapper.iterate()
-        self._mapper.settle()
+        self._mapper.synchronise()
 
     def render(self, T_wc: Float64) -> Rendered:
         """Return the map's view from ``T_wc`` [4, 4] at the run's image size."""
         return self._mapper.render(T_wc)
 
     @property
-    def in_turn_only(self) -> bool:
+    def sequential_only(self) -> bool:
         """Whether the tracker's side looks at the Gaussians, so that it cannot run beside the mapper."""
         return any(getattr(part, "needs_gaussians", False) for part in (self._tracker, self._policy))
 
@@ -265,9 +265,9 @@ class Slam:
         return self._mapper.keyframe_indices
 
     @property
-    def watched_indices(self) -> list[int]:
+    def voting_indices(self) -> list[int]:
         """Frames whose mask voted for the map's objects, though they were not mapped."""
-        return self._mapper.watched_indices
+        return self._mapper.voting_indices
 
     def map_arrays(self) -> PlyGaussians:
         """Return the map on the host, with object ids."""
@@ -283,7 +283,7 @@ class Slam:
 
     def _track(self, frame: Frame) -> TrackResult:
         T_first = np.eye(4) if frame.T_wc is None else frame.T_wc
-        if isinstance(self._tracker, MonocularTracker) and self._tracker.misled:
+        if isinstance(self._tracker, MonocularTracker) and self._tracker.init_failed:
             self._build()
             begun = self._tracker.start(frame, self.reports[-1].T_wc)
             return dataclasses.replace(begun, reason="the start was bad: a new map begins")

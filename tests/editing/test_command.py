@@ -164,7 +164,7 @@ def test_a_hidden_object_cannot_be_shown(run_folder, capsys):
     poses = (run_folder / "trajectory.txt").read_text().splitlines()
     (run_folder / "trajectory.txt").write_text(poses[-1] + "\n")  # the one that looks away
     assert main([str(run_folder), "show", "5"]) == 2
-    assert "out of sight" in capsys.readouterr().err
+    assert "out of object_view" in capsys.readouterr().err
 
 
 def test_as_a_program(run_folder):

@@ -4,12 +4,12 @@
 import numpy as np
 
 from ggwarp.geometry.camera import Camera
-from ggwarp.objects.association import MatchingConfig, SegmentMatcher, match_segments
+from ggwarp.objects.association import AssociationConfig, SegmentAssociation, match_segments
 from ggwarp.objects.class_table import ClassTable
 from ggwarp.objects.labels import Labels
 from ggwarp.objects.tentative import View
 
-CONFIG = MatchingConfig()
+CONFIG = AssociationConfig()
 
 
 def stripes(*labels: int) -> Labels:
@@ -63,7 +63,7 @@ class Wall:
         depth = np.full((20, 40), 2.0, np.float32)
         self.view = View(depth, np.eye(4), Camera(40, 20, 30.0, 30.0, 19.5, 9.5))
         self.table = ClassTable()
-        self.matcher = SegmentMatcher(CONFIG, self.table)
+        self.matcher = SegmentAssociation(CONFIG, self.table)
 
     def see(self, mask: Labels, known: Labels | None = None) -> list[int]:
         """Return the class of each stripe."""

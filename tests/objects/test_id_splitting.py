@@ -7,7 +7,7 @@ import pytest
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from ggwarp.objects.class_table import IGNORED, ClassTable
-from ggwarp.objects.id_splitting import Namesakes, NamesakesConfig, _clusters
+from ggwarp.objects.id_splitting import SharedIdSplitter, SplittingConfig, _clusters
 from ggwarp.objects.tentative import View
 
 CAMERA = Camera(60, 40, 50.0, 50.0, 29.5, 19.5)
@@ -20,7 +20,7 @@ class Wall:
     def __init__(self, squares: dict[float, int], **options) -> None:
         self.squares = squares
         self.classes = ClassTable()
-        self.namesakes = Namesakes(NamesakesConfig(**options), self.classes)
+        self.namesakes = SharedIdSplitter(SplittingConfig(**options), self.classes)
 
     def view(self, x: float) -> tuple[np.ndarray, View]:
         T_wc = se3.se3_exp(np.array([x, 0.0, 0.0, 0.0, 0.0, 0.0]))
@@ -35,14 +35,14 @@ class Wall:
         given, view = self.view(x)
         return self.namesakes.tell_apart(given, known, view)
 
-    def settle(self, x: float) -> tuple[np.ndarray, set[int]]:
+    def synchronise(self, x: float) -> tuple[np.ndarray, set[int]]:
         """Look as often as an object wants, and return the last of it."""
         return [self.look(x) for _ in range(3)][-1]
 
 
 def test_a_part_far_away_is_another_object_at_its_third_sighting() -> None:
     wall = Wall({0.0: 7, 5.0: 7})
-    (one,) = set(np.unique(wall.settle(0.0)[0])) - {wall.classes.encode(np.array([99]))[0]}
+    (one,) = set(np.unique(wall.synchronise(0.0)[0])) - {wall.classes.encode(np.array([99]))[0]}
     for _ in range(2):
         labels, fresh = wall.look(5.0)
         assert one in labels and not fresh
@@ -74,8 +74,8 @@ def test_masks_are_believed_as_to_what_one_frame_shows(within_frames: bool) -> N
 
 def test_what_comes_into_view_together_is_one_after_all() -> None:
     wall = Wall({-0.9: 7, 0.9: 7})
-    wall.settle(-1.6)
-    labels, (other,) = wall.settle(1.6)
+    wall.synchronise(-1.6)
+    labels, (other,) = wall.synchronise(1.6)
     assert other in labels
     assert wall.namesakes.touching() == []
     wall.look(0.0)
@@ -91,7 +91,7 @@ def test_a_swap_at_first_sight_is_not_the_id_s_place() -> None:
     """One frame at the wrong place, then the object itself: it keeps its id."""
     wall = Wall({0.0: 7, 5.0: 7})
     wall.look(5.0)
-    labels, fresh = wall.settle(0.0)
+    labels, fresh = wall.synchronise(0.0)
     given, _ = wall.view(0.0)
     np.testing.assert_array_equal(labels, given)
     assert not fresh
@@ -109,7 +109,7 @@ def test_parts_near_each_other_are_one() -> None:
 def test_an_object_that_the_map_knows_is_not_the_id_s() -> None:
     """A mask that gives a known object another's id for a while says nothing about that other."""
     wall = Wall({0.0: 7, 5.0: 7})
-    wall.settle(0.0)
+    wall.synchronise(0.0)
     known = wall.view(5.0)[0]
     known = np.where(known == known[0, 0], IGNORED, 3).astype(np.int32)
     wall.classes.encode(np.array([11, 12, 13]))
@@ -121,7 +121,7 @@ def test_an_object_that_the_map_knows_is_not_the_id_s() -> None:
 @pytest.mark.parametrize("options", [{"sightings": 0}, {"least_area": 0.5}, {"gap": 20.0}])
 def test_switched_off_or_too_small_or_not_far_enough(options: dict) -> None:
     wall = Wall({0.0: 7, 5.0: 7}, **options)
-    wall.settle(0.0)
+    wall.synchronise(0.0)
     for _ in range(5):
         given, _ = wall.view(5.0)
         labels, fresh = wall.look(5.0)
@@ -131,8 +131,8 @@ def test_switched_off_or_too_small_or_not_far_enough(options: dict) -> None:
 
 def test_pixels_without_depth_are_nobody_s() -> None:
     wall = Wall({0.0: 7, 5.0: 7})
-    wall.settle(0.0)
-    wall.settle(5.0)
+    wall.synchronise(0.0)
+    wall.synchronise(5.0)
     given, view = wall.view(5.0)
     holed = view.depth.copy()
     holed[:20] = 0.0
@@ -153,10 +153,10 @@ def test_a_frame_without_depth_or_objects_changes_nothing() -> None:
 
 def test_joined_with_another_object_the_parts_go_along() -> None:
     wall = Wall({0.0: 7, 5.0: 7, 10.0: 8})
-    wall.settle(0.0)
+    wall.synchronise(0.0)
     one = int(wall.classes.encode(np.array([7]))[0])
-    wall.settle(10.0)
-    _, fresh = wall.settle(5.0)
+    wall.synchronise(10.0)
+    _, fresh = wall.synchronise(5.0)
     (other,) = (i for i in fresh if wall.classes.share_an_id(i, one))
     eight = int(wall.classes.encode(np.array([8]))[0])
     wall.classes.join(eight, one)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from ggwarp.objects.inventory import ObjectRecord, inventory, refreshed
-from ggwarp.objects.visibility import Sightings
+from ggwarp.objects.visibility import ObjectVisibility
 
 C0 = 0.28209479177387814
 
@@ -28,7 +28,7 @@ def test_objects_are_listed_by_id(rng):
 
 
 def test_what_the_keyframes_showed():
-    sightings = Sightings()
+    sightings = ObjectVisibility()
     mask = np.zeros((100, 200), np.int32)
     mask[:10], mask[20:30, :50], mask[50, 50] = 7, 8, 9  # 9: a dot
     sightings.add(30, mask)

@@ -89,7 +89,7 @@ def test_a_keyframe_s_early_mistake_is_taken_back(revise: int, device: str, fram
     first, second = largest(frame.mask)[:2]
     swapped = np.select([frame.mask == first, frame.mask == second], [second, first], frame.mask)
     mapper = mapped(device, frame, [swapped, *[frame.mask] * 5], watch=0, revise=revise)
-    keyframe = mapper._fitter.keyframes[0]
+    keyframe = mapper._optimiser.keyframes[0]
     right = mapper.classes.encode(frame.mask)
     where = (frame.mask == first) | (frame.mask == second)
     assert (keyframe.labels.numpy()[where] != right[where]).all()
@@ -111,7 +111,7 @@ def test_frames_that_are_no_keyframes_vote(watch: int, device: str, frame: Frame
         mapper.remember(dataclasses.replace(frame, index=index), frame.T_wc)
     share = agreement(mapper, frame, frame.mask == target)
     assert share > 0.9 if watch else share == 0.0
-    assert len(mapper.watched_indices) == (8 if watch else 0), "one in five is held out"
+    assert len(mapper.voting_indices) == (8 if watch else 0), "one in five is held out"
     hurried = mapper.map.fields["votes"].numpy().copy()
     mapper.remember(dataclasses.replace(frame, index=2000), frame.T_wc, hurried=True)
     np.testing.assert_array_equal(mapper.map.fields["votes"].numpy(), hurried)

@@ -19,7 +19,7 @@ from ggwarp.pipeline.slam import Slam, SlamConfig
 from ggwarp.pipeline.tracking.gicp import GicpTracker
 from ggwarp.types import Frame
 
-BOTH_WAYS = pytest.mark.parametrize("beside", [False, True], ids=["in turn", "beside"])
+BOTH_WAYS = pytest.mark.parametrize("concurrent", [False, True], ids=["in turn", "concurrent"])
 
 
 def frame(index: int) -> Frame:
@@ -79,28 +79,28 @@ def run(sides: Sides, items: Any, **options: Any) -> tuple[list[tuple[int, Any]]
 
 
 @BOTH_WAYS
-def test_reports_come_in_order_and_missing_frames_keep_their_place(beside: bool) -> None:
+def test_reports_come_in_order_and_missing_frames_keep_their_place(concurrent: bool) -> None:
     sides = Sides()
     items = [frame(0), frame(1), SimpleNamespace(index=2), frame(3)]
-    out, failure = run(sides, items, beside=beside)
+    out, failure = run(sides, items, concurrent=concurrent)
     assert failure is None
     assert out == [(0, "mapped 0"), (1, "mapped 1"), (2, None), (3, "mapped 3")]
     assert sides.skipped == 2, "the missing frame's time passes, and that of the one that does not come"
 
 
 @BOTH_WAYS
-def test_a_failed_tracker_ends_both_after_its_last_frame(beside: bool) -> None:
+def test_a_failed_tracker_ends_both_after_its_last_frame(concurrent: bool) -> None:
     sides = Sides(fail_tracking=2)
-    out, failure = run(sides, map(frame, range(6)), beside=beside)
+    out, failure = run(sides, map(frame, range(6)), concurrent=concurrent)
     assert out == [(0, "mapped 0"), (1, "mapped 1")]
     assert failure is not None and str(failure) == "tracking failed at frame 2"
     assert isinstance(failure.__cause__, ZeroDivisionError)
 
 
 @BOTH_WAYS
-def test_a_failed_mapper_ends_both_and_keeps_every_pose(beside: bool) -> None:
+def test_a_failed_mapper_ends_both_and_keeps_every_pose(concurrent: bool) -> None:
     sides = Sides(fail_mapping=1)
-    out, failure = run(sides, map(frame, range(20)), beside=beside)
+    out, failure = run(sides, map(frame, range(20)), concurrent=concurrent)
     assert out[:2] == [(0, "mapped 0"), (1, "left 1")]
     assert [index for index, _ in out] == sides.tracked and len(out) <= 2 + AHEAD + 1
     assert all(report == f"left {index}" for index, report in out[1:])
@@ -111,25 +111,25 @@ def test_a_failed_mapper_ends_both_and_keeps_every_pose(beside: bool) -> None:
 def test_the_first_failure_is_the_one_that_is_told() -> None:
     sides = Sides(fail_mapping=0, fail_tracking=1)
     sides.may_map.clear()  # until the tracker has failed, which nobody knows yet
-    _, failure = run(sides, map(frame, range(3)), beside=True)
+    _, failure = run(sides, map(frame, range(3)), concurrent=True)
     assert failure is not None and str(failure) == "mapping failed at frame 0"
 
 
 @BOTH_WAYS
-def test_an_unreadable_source_ends_both(beside: bool) -> None:
+def test_an_unreadable_source_ends_both(concurrent: bool) -> None:
     def source() -> Any:
         yield frame(4)
         raise OSError("the disk is gone")
 
-    out, failure = run(Sides(), source(), beside=beside)
+    out, failure = run(Sides(), source(), concurrent=concurrent)
     assert out == [(4, "mapped 4")]
     assert failure is not None and str(failure) == "reading failed after frame 4"
 
 
 @BOTH_WAYS
-def test_a_stop_ends_it_with_every_pose(beside: bool) -> None:
+def test_a_stop_ends_it_with_every_pose(concurrent: bool) -> None:
     sides = Sides()
-    out, failure = run(sides, map(frame, range(20)), beside=beside, stopped=lambda: 2 in sides.mapped)
+    out, failure = run(sides, map(frame, range(20)), concurrent=concurrent, stopped=lambda: 2 in sides.mapped)
     assert failure is None and [index for index, _ in out] == sides.tracked
     assert out[:3] == [(0, "mapped 0"), (1, "mapped 1"), (2, "mapped 2")]
     assert sides.mapped == [0, 1, 2] and len(out) <= 3 + AHEAD + 1
@@ -138,7 +138,7 @@ def test_a_stop_ends_it_with_every_pose(beside: bool) -> None:
 def test_the_tracker_runs_ahead_but_not_far() -> None:
     sides = Sides()
     sides.may_map.clear()
-    steps = run_steps(sides, map(frame, range(50)), beside=True)  # pyright: ignore[reportArgumentType]
+    steps = run_steps(sides, map(frame, range(50)), concurrent=True)  # pyright: ignore[reportArgumentType]
 
     def release() -> None:
         assert sides.blocked.wait(10.0), "one at the mapper, AHEAD waiting, one in hand"
@@ -157,16 +157,16 @@ def test_the_tracker_runs_ahead_but_not_far() -> None:
 OFFICE = SyntheticOffice(scale=0.15)
 
 
-def office_run(device: str, *, beside: bool, scheduler: Any = None) -> Slam:
+def office_run(device: str, *, concurrent: bool, scheduler: Any = None) -> Slam:
     config = SlamConfig(mapper=MapperConfig(iterations=2, prune_interval=3))
     slam = Slam(config, OFFICE.camera, OFFICE.camera, device=device, scheduler=scheduler)
-    for _ in run_steps(slam, (OFFICE[i] for i in range(0, 24, 4)), beside=beside):
+    for _ in run_steps(slam, (OFFICE[i] for i in range(0, 24, 4)), concurrent=concurrent):
         pass
     return slam
 
 
 def test_beside_is_in_turn_to_the_bit(device: str) -> None:
-    one, other = (office_run(device, beside=beside) for beside in (False, True))
+    one, other = (office_run(device, concurrent=concurrent) for concurrent in (False, True))
     assert one.keyframe_indices == other.keyframe_indices and len(one.keyframe_indices) >= 2
     assert one.counts == other.counts
     for a, b in zip(one.reports, other.reports, strict=True):
@@ -182,10 +182,10 @@ def test_a_tracker_that_sees_the_gaussians_works_in_turn(
 ) -> None:
     monkeypatch.setattr(GicpTracker, "needs_gaussians", True, raising=False)
     with pytest.raises(ValueError, match="in turn"):
-        office_run(device, beside=True)
-    assert len(office_run(device, beside=False).reports) == 6
+        office_run(device, concurrent=True)
+    assert len(office_run(device, concurrent=False).reports) == 6
 
 
 def test_uncapped_every_frame_is_fitted(device: str) -> None:
-    slam = office_run(device, beside=True, scheduler=UncappedScheduler())
+    slam = office_run(device, concurrent=True, scheduler=UncappedScheduler())
     assert all(r.mapping_iterations >= 1 for r in slam.reports)

@@ -148,7 +148,7 @@ def test_an_iteration_leaves_the_scene_as_it_is(device: str):
         mapper.iterate()
         for work in stages.works().values():
             work()
-    assert mapper.settle() > 0.0, "there is something to fit"
+    assert mapper.synchronise() > 0.0, "there is something to fit"
     rows = mapper.map.to_host()
     for name in ("means", "log_scales", "opacity_logits", "colours", "identities"):
         np.testing.assert_array_equal(rows[name], getattr(batch, name), err_msg=name)

@@ -26,7 +26,7 @@ STAGES: dict[str, list[tuple[type, str]]] = {
         for method in ("start", "track")
     ],
     "insertion": [(Mapper, "insert")],
-    "mapping": [(Mapper, "iterate"), (Mapper, "settle")],
+    "mapping": [(Mapper, "iterate"), (Mapper, "synchronise")],
 }
 """Stage -> the methods whose time is its own."""
 

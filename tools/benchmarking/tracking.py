@@ -26,7 +26,7 @@ from benchmarking.record import Check, Record, Row, Section
 from benchmarking.timing import Timing, Work, measure
 from ggwarp.config import device_name
 from ggwarp.geometry import se3
-from ggwarp.pipeline.tracking.gicp import GicpTracker, TrackerConfig
+from ggwarp.pipeline.tracking.gicp import GicpConfig, GicpTracker
 
 BESIDE, GROWTH = "a frame beside small_gicp", "as the map grows"
 _SIZES, _QUICK_SIZES = (1, 2, 5, 10), (1, 10)
@@ -177,7 +177,7 @@ def _compare(record: Record, times: dict[str, Timing], ours: Ours, peer: Peer, t
 
 def tracker_work(at: Situation, target: Any, device: Any) -> Work:
     """Return a whole frame of tracking on ``target``, to be repeated from the same state."""
-    tracker = GicpTracker(TrackerConfig(), at.camera, device=device)
+    tracker = GicpTracker(GicpConfig(), at.camera, device=device)
     return Work(
         run=lambda: tracker.track(at.frame, target),
         prepare=lambda: tracker.place(at.previous, target, at.T_previous),

@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggwarp.editing.edits import join, remove
-from ggwarp.editing.inpaint.fitting import FitConfig, Target, fit
+from ggwarp.editing.inpaint.fitting import RefitConfig, Target, fit
 from ggwarp.editing.inpaint.holes import HoleConfig, PlaneHole, find_holes, hits
 from ggwarp.editing.inpaint.image_inpainting import Inpaint, inpaint_depth, inpaint_shade
-from ggwarp.editing.inpaint.object_views import Sight, look, rays_of, share_in_the_clear
+from ggwarp.editing.inpaint.object_views import ObjectView, look, rays_of, share_in_the_clear
 from ggwarp.editing.inpaint.plane_texture import Surface, paint
 from ggwarp.editing.map_view import MapView, best_views
 from ggwarp.geometry import se3
@@ -56,7 +56,7 @@ class FillConfig:
     rest_share: float = 0.01
     """Less of the object's pixels than this share is not worth that."""
     holes: HoleConfig = field(default_factory=HoleConfig)
-    fit: FitConfig = field(default_factory=FitConfig)
+    fit: RefitConfig = field(default_factory=RefitConfig)
 
 
 def fill_removed(
@@ -92,17 +92,19 @@ def fill_removed(
         return kept, 0
     kept = remove(kept, hidden)
     rest = MapView(kept, camera, device=device)
-    sights = [look(view, rest, poses[i], removed) for i in indices]
-    holes = find_holes(kept, sights, camera, config.holes)
+    object_views = [look(view, rest, poses[i], removed) for i in indices]
+    holes = find_holes(kept, object_views, camera, config.holes)
     # What lies on a hole, though no view ever saw it rightly, makes room.
     kept = remove(kept, _over(holes, kept, config))
     on_plane = config.holes.tolerance
-    surfaces = [paint(h, sights, camera, inpaint, margin=config.margin, tolerance=on_plane) for h in holes]
+    surfaces = [
+        paint(h, object_views, camera, inpaint, margin=config.margin, tolerance=on_plane) for h in holes
+    ]
     filled = join(kept, *(_laid_out(kept, surface, config) for surface in surfaces))
-    filled = _fill_rest(filled, sights, camera, inpaint, config, device)
+    filled = _fill_rest(filled, object_views, camera, inpaint, config, device)
     free = _over(holes, filled, config)
     free[len(kept) :] = True
-    targets = _targets(filled, surfaces, sights, camera, config, device)
+    targets = _targets(filled, surfaces, object_views, camera, config, device)
     return fit(filled, free, targets, camera, config.fit, device=device), len(filled) - len(kept)
 
 
@@ -127,25 +129,25 @@ def _laid_out(kept: PlyGaussians, surface: Surface, config: FillConfig) -> PlyGa
 
 def _fill_rest(
     filled: PlyGaussians,
-    sights: list[Sight],
+    object_views: list[ObjectView],
     camera: Camera,
     inpaint: Inpaint,
     config: FillConfig,
     device: Any,
 ) -> PlyGaussians:
     """Fill what no plane fills from the views, one after another."""
-    for sight in sights[: config.rest_views]:
-        seen = MapView(filled, camera, device=device).render(sight.T_wc)
-        hole = sight.touched & (seen.opacity < _HOLE)
-        if hole.sum() <= config.rest_share * sight.touched.sum() or hole.all():
+    for object_view in object_views[: config.rest_views]:
+        seen = MapView(filled, camera, device=device).render(object_view.T_wc)
+        hole = object_view.touched & (seen.opacity < _HOLE)
+        if hole.sum() <= config.rest_share * object_view.touched.sum() or hole.all():
             continue
         unknown = cv2.dilate(hole.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
         depth = inpaint_depth(seen.surface_depth, unknown | (seen.opacity < _HOLE))
         picture = inpaint(np.rint(255.0 * seen.rgb).astype(np.uint8), unknown)
         rows, columns = np.nonzero(hole & (depth > 0.0))
         z = depth[rows, columns]
-        points = sight.T_wc[:3, 3] + rays_of(camera, sight.T_wc, rows, columns) * z[:, None]
-        quats = np.tile(se3.quat_from_matrix(sight.T_wc[:3, :3]), (len(points), 1))
+        points = object_view.T_wc[:3, 3] + rays_of(camera, object_view.T_wc, rows, columns) * z[:, None]
+        quats = np.tile(se3.quat_from_matrix(object_view.T_wc[:3, :3]), (len(points), 1))
         spreads = config.spread * z / camera.fx
         new = _new_gaussians(filled, points, quats, spreads, picture[rows, columns], config)
         filled = join(filled, new)
@@ -184,7 +186,7 @@ def _new_gaussians(
 def _targets(
     filled: PlyGaussians,
     surfaces: list[Surface],
-    sights: list[Sight],
+    object_views: list[ObjectView],
     camera: Camera,
     config: FillConfig,
     device: Any,
@@ -193,19 +195,19 @@ def _targets(
     view = MapView(filled, camera, device=device)
     holes = [surface.hole for surface in surfaces]
     targets = []
-    for sight in sights[: config.fit.views]:
-        seen = view.render(sight.T_wc)
-        whole = np.where(sight.touched[..., None], seen.rgb, sight.rgb)
+    for object_view in object_views[: config.fit.views]:
+        seen = view.render(object_view.T_wc)
+        whole = np.where(object_view.touched[..., None], seen.rgb, object_view.rgb)
         rgb = np.rint(255.0 * whole).astype(np.uint8)
-        depth = np.where(sight.touched, seen.surface_depth, sight.depth)
-        rows, columns, which, along = hits(holes, sight, camera, tolerance=config.holes.tolerance)
+        depth = np.where(object_view.touched, seen.surface_depth, object_view.depth)
+        rows, columns, which, along = hits(holes, object_view, camera, tolerance=config.holes.tolerance)
         points = (
-            sight.T_wc[:3, 3]
-            + rays_of(camera, sight.T_wc, rows, columns) * np.where(which >= 0, along, 0.0)[:, None]
+            object_view.T_wc[:3, 3]
+            + rays_of(camera, object_view.T_wc, rows, columns) * np.where(which >= 0, along, 0.0)[:, None]
         )
         for k, surface in enumerate(surfaces):
             own = which == k
             rgb[rows[own], columns[own]] = np.rint(surface.colours(points[own]))
             depth[rows[own], columns[own]] = along[own]
-        targets.append(Target(sight.T_wc, rgb, depth))
+        targets.append(Target(object_view.T_wc, rgb, depth))
     return targets

@@ -26,7 +26,7 @@ _RATES = AdamRates(means=1e-4, quats=2e-3, log_scales=5e-3, opacity=0.02, colour
 
 
 @dataclass(frozen=True)
-class FitConfig:
+class RefitConfig:
     """How Gaussians are fitted to pictures."""
 
     iterations: int = 60
@@ -59,7 +59,7 @@ def fit(
     free: NDArray[np.bool_],
     targets: list[Target],
     camera: Camera,
-    config: FitConfig = FitConfig(),
+    config: RefitConfig = RefitConfig(),
     *,
     device: Any = "cpu",
 ) -> PlyGaussians:

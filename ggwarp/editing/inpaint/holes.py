@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ggwarp.editing.inpaint.object_views import Sight, project, rays_of
+from ggwarp.editing.inpaint.object_views import ObjectView, project, rays_of
 from ggwarp.editing.inpaint.planes import Plane, fit_planes, surface_normals
 from ggwarp.geometry.camera import Camera
 from ggwarp.io.ply import PlyGaussians
@@ -102,20 +102,20 @@ class PlaneHole:
 
 
 def find_holes(
-    kept: PlyGaussians, sights: list[Sight], camera: Camera, config: HoleConfig = HoleConfig()
+    kept: PlyGaussians, views: list[ObjectView], camera: Camera, config: HoleConfig = HoleConfig()
 ) -> list[PlaneHole]:
     """Return the planes behind the object that have unseen places, with what is to be filled.
 
     Args:
         kept: the map without the object.
-        sights: views that show the object, and others of the place.
+        views: views that show the object, and others of the place.
         camera: of the views.
     """
     holes = []
-    around = _surroundings(kept, sights, camera, config)
+    around = _surroundings(kept, views, camera, config)
     points, normals = kept.means[around], surface_normals(kept)[around]
     weights = 1.0 / (1.0 + np.exp(-kept.opacity_logits[around]))
-    towards = np.mean([s.T_wc[:3, 3] for s in sights], axis=0)
+    towards = np.mean([s.T_wc[:3, 3] for s in views], axis=0)
     found = fit_planes(
         points,
         normals,
@@ -126,34 +126,34 @@ def find_holes(
         towards=towards,
     )
     for plane, own in found:
-        hole = _grid(plane, points[own], sights, camera, config)
+        hole = _grid(plane, points[own], views, camera, config)
         if hole is not None:
             holes.append(hole)
-    for sight in sights:
-        _mark(holes, sight, camera, config.tolerance)
+    for view in views:
+        _mark(holes, view, camera, config.tolerance)
     for hole in holes:
         _close(hole)
     return [hole for hole in holes if hole.needed.any()]
 
 
-def _surroundings(kept: PlyGaussians, sights: list[Sight], camera: Camera, config: HoleConfig) -> Bools:
+def _surroundings(kept: PlyGaussians, views: list[ObjectView], camera: Camera, config: HoleConfig) -> Bools:
     """Return [n] the Gaussians that a view shows close to the object's outline."""
     near = np.zeros(len(kept), bool)
-    for sight in sights:
-        size = float(np.sqrt(sight.blocked.sum()))
+    for view in views:
+        size = float(np.sqrt(view.blocked.sum()))
         if size == 0.0:
             continue
         width = 2 * round(max(4.0, config.ring * size)) + 1
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width))
-        ring = cv2.dilate(sight.blocked.astype(np.uint8), disc).astype(bool) & ~sight.blocked
-        rows, columns, z, inside = project(camera, sight.T_wc, kept.means)
-        agree = np.abs(sight.depth[rows, columns] - z) < 2.0 * config.tolerance * (1.0 + z)
+        ring = cv2.dilate(view.blocked.astype(np.uint8), disc).astype(bool) & ~view.blocked
+        rows, columns, z, inside = project(camera, view.T_wc, kept.means)
+        agree = np.abs(view.depth[rows, columns] - z) < 2.0 * config.tolerance * (1.0 + z)
         near |= inside & ring[rows, columns] & agree
     return near
 
 
 def _grid(
-    plane: Plane, own: Float32, sights: list[Sight], camera: Camera, config: HoleConfig
+    plane: Plane, own: Float32, views: list[ObjectView], camera: Camera, config: HoleConfig
 ) -> PlaneHole | None:
     """Lay cells over what the object hides of ``plane``; ``own`` [n, 3] are Gaussians on it."""
     from scipy.spatial import KDTree
@@ -162,7 +162,7 @@ def _grid(
     tree: Any = KDTree(flat)
     cell = config.cell * float(np.median(tree.query(flat, k=2)[0][:, 1]))
     cell = min(max(cell, 0.003), 0.03)
-    hidden = [plane.coordinates(_behind(plane, sight, camera, config))[:, :2] for sight in sights]
+    hidden = [plane.coordinates(_behind(plane, view, camera, config))[:, :2] for view in views]
     shadow = np.concatenate(hidden)
     # Rays that graze the plane hit it far away, where nothing says that it still is.
     room = 0.5 * np.ptp(flat, axis=0)
@@ -176,7 +176,7 @@ def _grid(
     cv2.fillConvexPoly(known, np.rint((hull - low) / cell).astype(np.int32), 1)
     blank = np.zeros((rows, columns), np.uint8)
     hole = PlaneHole(plane, low, cell, blank, known.astype(bool), np.zeros((rows, columns), bool))
-    hole.states[:] = _classified(hole, sights, camera, config).reshape(rows, columns)
+    hole.states[:] = _classified(hole, views, camera, config).reshape(rows, columns)
     hole.states[_ended(hole.states, config.going_on)] = FREE
     return hole
 
@@ -196,35 +196,35 @@ def _ended(states: NDArray[np.uint8], going_on: float) -> Bools:
     return (states == UNSEEN) & (going_on * to_seen > to_free)
 
 
-def _behind(plane: Plane, sight: Sight, camera: Camera, config: HoleConfig) -> Float64:
+def _behind(plane: Plane, view: ObjectView, camera: Camera, config: HoleConfig) -> Float64:
     """Return [n, 3] where rays through the object meet ``plane`` behind the object's front."""
-    rows, columns = np.nonzero(sight.touched)
-    rays, centre = rays_of(camera, sight.T_wc, rows, columns), sight.T_wc[:3, 3]
+    rows, columns = np.nonzero(view.touched)
+    rays, centre = rays_of(camera, view.T_wc, rows, columns), view.T_wc[:3, 3]
     depths = plane.depths(rays, centre)
-    behind = np.isfinite(depths) & (depths > sight.depth[rows, columns] - config.tolerance)
+    behind = np.isfinite(depths) & (depths > view.depth[rows, columns] - config.tolerance)
     return centre + rays[behind] * depths[behind, None]
 
 
 def _classified(
-    hole: PlaneHole, sights: list[Sight], camera: Camera, config: HoleConfig
+    hole: PlaneHole, views: list[ObjectView], camera: Camera, config: HoleConfig
 ) -> NDArray[np.uint8]:
     """Return [cells] what the views say of each cell of ``hole``."""
     points = hole.centres(np.ones(hole.states.shape, bool))
     free, seen = np.zeros(len(points), int), np.zeros(len(points), int)
-    for sight in sights:
-        rows, columns, z, inside = project(camera, sight.T_wc, points)
+    for view in views:
+        rows, columns, z, inside = project(camera, view.T_wc, points)
         tolerance = config.tolerance * (1.0 + z)
-        beyond = sight.depth[rows, columns] - z
+        beyond = view.depth[rows, columns] - z
         # Where the outline mixes the object with what is behind, neither can be told.
-        inside &= sight.blocked[rows, columns] | ~sight.touched[rows, columns]
+        inside &= view.blocked[rows, columns] | ~view.touched[rows, columns]
         free += inside & (beyond > tolerance)
-        seen += inside & (np.abs(beyond) <= tolerance) & ~sight.blocked[rows, columns]
+        seen += inside & (np.abs(beyond) <= tolerance) & ~view.blocked[rows, columns]
     # One view alone may look past an edge that its pixels blur.
     return np.where(free > np.maximum(1, seen), FREE, np.where(seen > 0, SEEN, UNSEEN)).astype(np.uint8)
 
 
 def hits(
-    holes: list[PlaneHole], sight: Sight, camera: Camera, *, tolerance: float
+    holes: list[PlaneHole], view: ObjectView, camera: Camera, *, tolerance: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp], Float64]:
     """Return where the rays through the object meet the holes, as if it were not there.
 
@@ -237,12 +237,12 @@ def hits(
         [n] rows and columns of the pixels that show any of the object; [n] index into ``holes`` of the first
         one met, -1 where a known surface comes before or nothing is met; [n] depths, metres, inf: nothing.
     """
-    rows, columns = np.nonzero(sight.touched)
-    which, depth = _first(holes, sight.T_wc, camera, rows, columns, beyond=False)
-    shown = sight.left[rows, columns] > 0.5
+    rows, columns = np.nonzero(view.touched)
+    which, depth = _first(holes, view.T_wc, camera, rows, columns, beyond=False)
+    shown = view.left[rows, columns] > 0.5
     empty = np.isinf(depth) & ~shown
-    which[empty], depth[empty] = _first(holes, sight.T_wc, camera, rows[empty], columns[empty], beyond=True)
-    before = sight.left_depth[rows, columns]
+    which[empty], depth[empty] = _first(holes, view.T_wc, camera, rows[empty], columns[empty], beyond=True)
+    before = view.left_depth[rows, columns]
     which[shown & (before < depth - tolerance * (1.0 + before))] = -1
     return rows, columns, which, depth
 
@@ -268,9 +268,9 @@ def _first(
     return which, depth
 
 
-def _mark(holes: list[PlaneHole], sight: Sight, camera: Camera, tolerance: float) -> None:
-    rows, columns, which, depth = hits(holes, sight, camera, tolerance=tolerance)
-    rays, centre = rays_of(camera, sight.T_wc, rows, columns), sight.T_wc[:3, 3]
+def _mark(holes: list[PlaneHole], view: ObjectView, camera: Camera, tolerance: float) -> None:
+    rows, columns, which, depth = hits(holes, view, camera, tolerance=tolerance)
+    rays, centre = rays_of(camera, view.T_wc, rows, columns), view.T_wc[:3, 3]
     for k, hole in enumerate(holes):
         hole.mark(centre + rays[which == k] * depth[which == k, None])
 

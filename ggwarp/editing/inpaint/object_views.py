@@ -20,7 +20,7 @@ _SHOWS = 0.25  # of a Gaussian's largest view: smaller ones say little of it
 
 
 @dataclass(frozen=True)
-class Sight:
+class ObjectView:
     """What one view shows, with the object and how much of it.
 
     Attributes:
@@ -50,10 +50,10 @@ class Sight:
         return self.coverage > _TOUCHED
 
 
-def look(whole: MapView, kept: MapView, T_wc: Float64, selected: Bools) -> Sight:
+def look(whole: MapView, kept: MapView, T_wc: Float64, selected: Bools) -> ObjectView:
     """Return what ``T_wc`` shows of ``whole``, and of ``kept``, the map without its ``selected`` [n]."""
     after, before = kept.render(T_wc), whole.render(T_wc)
-    return Sight(
+    return ObjectView(
         T_wc,
         rgb=before.rgb,
         depth=before.surface_depth,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ggwarp.editing.inpaint.holes import PlaneHole
 from ggwarp.editing.inpaint.image_inpainting import Inpaint, Picture
-from ggwarp.editing.inpaint.object_views import Sight, project
+from ggwarp.editing.inpaint.object_views import ObjectView, project
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from ggwarp.types import Float32, Float64
@@ -43,7 +43,13 @@ class Surface:
 
 
 def paint(
-    hole: PlaneHole, sights: list[Sight], camera: Camera, inpaint: Inpaint, *, margin: int, tolerance: float
+    hole: PlaneHole,
+    views: list[ObjectView],
+    camera: Camera,
+    inpaint: Inpaint,
+    *,
+    margin: int,
+    tolerance: float,
 ) -> Surface:
     """Return the plane of ``hole`` as the views show it, seen head-on, what is missing inpainted.
 
@@ -55,9 +61,9 @@ def paint(
     at = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2) - margin
     points = hole.plane.points(hole.low + hole.cell * at)
     total, weight = np.zeros((len(points), 3)), np.zeros(len(points))
-    for sight in sights:
-        index, colours = _shown(points, sight, camera, tolerance)
-        towards = sight.T_wc[:3, 3] - points[index]
+    for view in views:
+        index, colours = _shown(points, view, camera, tolerance)
+        towards = view.T_wc[:3, 3] - points[index]
         distance = np.linalg.norm(towards, axis=1)
         # Nearer and less slanted views show more of a surface.
         share = (np.clip(towards @ hole.plane.normal / distance, 0.0, 1.0) / distance) ** _SHARPEST
@@ -71,15 +77,15 @@ def paint(
 
 
 def _shown(
-    points: Float64, sight: Sight, camera: Camera, tolerance: float
+    points: Float64, view: ObjectView, camera: Camera, tolerance: float
 ) -> tuple[NDArray[np.intp], Float32]:
     """Return which of ``points`` [n, 3] a view shows, apart from the object, and their colours (0..1)."""
-    rows, columns, z, inside = project(camera, sight.T_wc, points)
-    mixed = cv2.dilate(sight.touched.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
-    agree = np.abs(sight.depth[rows, columns] - z) <= tolerance * (1.0 + z)
+    rows, columns, z, inside = project(camera, view.T_wc, points)
+    mixed = cv2.dilate(view.touched.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
+    agree = np.abs(view.depth[rows, columns] - z) <= tolerance * (1.0 + z)
     index = np.nonzero(inside & agree & ~mixed[rows, columns])[0]
-    x, y, z = se3.transform_points(se3.inverse(sight.T_wc), points[index]).T
-    return index, sampled(sight.rgb, camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy)
+    x, y, z = se3.transform_points(se3.inverse(view.T_wc), points[index]).T
+    return index, sampled(view.rgb, camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy)
 
 
 def sampled(picture: NDArray[Any], columns: Float64, rows: Float64) -> Float32:

@@ -22,14 +22,14 @@ def _flags_kernel(
     with_identity: int,
     least_logit: float,
     largest_log_scale: float,
-    most_idle: int,
+    most_low_weight_counts: int,
     means: wp.array[wp.vec3],
     quats: wp.array[wp.vec4],
     log_scales: wp.array[wp.vec3],
     opacity_logits: wp.array[wp.float32],
     colours: wp.array[wp.vec3],
     identities: wp.array[vec16],
-    idle: wp.array[wp.int32],
+    low_weight_counts: wp.array[wp.int32],
     flags: wp.array[wp.int32],
 ):
     i = offset + wp.tid()
@@ -42,8 +42,8 @@ def _flags_kernel(
     finite = finite and wp.isfinite(colours[i])
     if with_identity != 0:
         finite = finite and wp.isfinite(identities[i])
-    if idle:
-        keep = keep and idle[i] < most_idle
+    if low_weight_counts:
+        keep = keep and low_weight_counts[i] < most_low_weight_counts
     flags[i] = wp.where(keep and finite, 1, 0)
 
 
@@ -53,11 +53,11 @@ def _idle_kernel(
     least_weight: float,
     ranks: wp.array[wp.int32],
     weights: wp.array[wp.float32],
-    idle: wp.array[wp.int32],
+    low_weight_counts: wp.array[wp.int32],
 ):
     i = offset + wp.tid()
     if ranks[i] >= 0:
-        idle[i] = wp.where(weights[i] < least_weight, idle[i] + 1, 0)
+        low_weight_counts[i] = wp.where(weights[i] < least_weight, low_weight_counts[i] + 1, 0)
 
 
 @wp.kernel
@@ -97,8 +97,8 @@ def flag_kept(
     flags: Any,
     min_opacity: float = 0.005,
     max_scale: float = math.inf,
-    idle: Any = None,
-    most_idle: int = 0,
+    low_weight_counts: Any = None,
+    most_low_weight_counts: int = 0,
     device: Any,
 ) -> None:
     """Flag the Gaussians worth keeping: opaque and small enough, all numbers finite.
@@ -108,7 +108,8 @@ def flag_kept(
         flags: [n] int, written: 1 = keep, 0 = drop.
         min_opacity: those more transparent go.
         max_scale: those with a longer axis (standard deviation, metres) go.
-        idle: [>= n] int; those with ``most_idle`` or more go; None: it does not matter.
+        low_weight_counts: [>= n] int; those with ``most_low_weight_counts`` or more go;
+            None: it does not matter.
         device: a Warp device.
     """
     p = parameters
@@ -117,8 +118,8 @@ def flag_kept(
         _flags_kernel,
         flags.shape[0],
         inputs=[
-            *(int(p.identities is not None), least_logit, math.log(max_scale), most_idle),
-            *(p.means, p.quats, p.log_scales, p.opacity_logits, p.colours, p.identities, idle),
+            *(int(p.identities is not None), least_logit, math.log(max_scale), most_low_weight_counts),
+            *(p.means, p.quats, p.log_scales, p.opacity_logits, p.colours, p.identities, low_weight_counts),
         ],
         outputs=[flags],
         device=device,
@@ -126,21 +127,23 @@ def flag_kept(
     )
 
 
-def count_idle(weights: Any, *, ranks: Any, least_weight: float, idle: Any, device: Any) -> None:
+def count_low_weight(
+    weights: Any, *, ranks: Any, least_weight: float, low_weight_counts: Any, device: Any
+) -> None:
     """Count for how many views in a row each Gaussian made up next to nothing of those that could show it.
 
     Args:
         weights: [>= n] float, pixels that each makes up of a view, where it is visible.
         ranks: [n] int, negative: not visible; its count stays.
         least_weight: fewer pixels than this count for nothing.
-        idle: [>= n] int, in and out: one more, or back to 0.
+        low_weight_counts: [>= n] int, in and out: one more, or back to 0.
         device: a Warp device.
     """
     launch_split(
         _idle_kernel,
         ranks.shape[0],
         inputs=[least_weight, ranks, weights],
-        outputs=[idle],
+        outputs=[low_weight_counts],
         device=device,
         min_piece=1024,
     )

@@ -97,8 +97,8 @@ def _project_adjoint(
     d_colours: wp.array[wp.vec3],
     d_identities: wp.array[vec16],
     weights: wp.array[float],
-    pulls: wp.array[float],
-    pull_counts: wp.array[int],
+    mean2d_gradient_norms: wp.array[float],
+    mean2d_gradient_counts: wp.array[int],
     d_poses: wp.array[vec6],
 ):
     k = offset + wp.tid()
@@ -118,11 +118,11 @@ def _project_adjoint(
     d_head = wp.vec4(d_row[8], d_row[9], d_row[10], d_row[11])
     if weights:
         weights[i] = d_row[12]
-    if pulls:
-        pulls[i] += wp.length(
+    if mean2d_gradient_norms:
+        mean2d_gradient_norms[i] += wp.length(
             wp.vec2(0.5 * float(camera.width) * d_uv[0], 0.5 * float(camera.height) * d_uv[1])
         )
-        pull_counts[i] += 1
+        mean2d_gradient_counts[i] += 1
     if d_identities:
         d_o = vec16()
         for slot in range(begin, end):
@@ -227,7 +227,7 @@ def project_adjoint(
     d_colours: wp.array | None = None,
     d_identities: wp.array | None = None,
     weights: wp.array | None = None,
-    pulls: tuple[wp.array, wp.array] | None = None,
+    mean2d_gradient_norms: tuple[wp.array, wp.array] | None = None,
     d_pose_scratch: tuple[wp.array, ...] = (),
 ) -> None:
     """Chain the composite's gradients to the visible Gaussians and, on request, to the camera.
@@ -244,8 +244,8 @@ def project_adjoint(
         d_identities: output [>= count] vec16; None skips it.
         weights: output [>= count] float, the sum of w over the view's pixels, padding included; None
             skips it.
-        pulls: in and out, [>= count] float and int: the length of the projected mean's gradient, in an
-            image 2 wide and 2 high, is added to the one, 1 to the other; None skips it.
+        mean2d_gradient_norms: in and out, [>= count] float and int: the length of the projected mean's
+            gradient, in an image 2 wide and 2 high, is added to the one, 1 to the other; None skips it.
         d_pose_scratch: vec6 arrays of :func:`pose_levels` lengths; the last, of one row, receives
             the gradient (translation, rotation) of T_cw <- Exp(tau) T_cw. Empty: no pose gradient.
     """
@@ -262,7 +262,7 @@ def project_adjoint(
         ],
         outputs=[
             d_means, d_quats, d_log_scales, d_opacity_logits, d_colours, d_identities, weights,
-            *(pulls or (None, None)),
+            *(mean2d_gradient_norms or (None, None)),
             d_pose_scratch[0] if d_pose_scratch else None,
         ],
         device=device,

@@ -22,15 +22,15 @@ from ggwarp.runtime.streams import to_host
 
 @dataclass(frozen=True)
 class DensifyConfig:
-    """When Gaussians multiply, and when opacities begin anew."""
+    """When Gaussians are densified, and when opacities begin anew."""
 
     interval: int = 0
-    """Gaussians multiply every so many iterations (MonoGS: 150); 0: seeding alone adds any."""
+    """Gaussians are densified every so many iterations (MonoGS: 150); 0: seeding alone adds any."""
     offset: int = 50
     """Not before so many."""
     threshold: float = 2e-4
-    """Gaussians multiply whose projected mean has a larger gradient, in the mean over the iterations that
-    showed them; the image is 2 wide and 2 high."""
+    """Gaussians are densified whose projected mean has a larger gradient, in the mean over the iterations
+    that showed them; the image is 2 wide and 2 high."""
     split_scale: float = 0.03
     """Those with a larger standard deviation are split, metres; smaller ones are doubled."""
     shrink: float = 1.6
@@ -42,22 +42,24 @@ class DensifyConfig:
     """... to this, where they are higher."""
 
 
-def multiply(gaussians: GaussianMap, config: DensifyConfig, rng: np.random.Generator) -> int:
+def densify_gaussians(gaussians: GaussianMap, config: DensifyConfig, rng: np.random.Generator) -> int:
     """Double or split the Gaussians that are pulled most, and count pulls anew; return how many they were.
 
     Args:
-        gaussians: written; ``pulls`` and ``pull_counts`` say how each was pulled.
+        gaussians: written; ``mean2d_gradient_norms`` and ``mean2d_gradient_counts`` say how each was pulled.
         rng: draws where the parts of a split Gaussian lie.
     """
     count, fields = gaussians.count, gaussians.fields
-    pulls, counts = (to_host(fields[n])[:count] for n in ("pulls", "pull_counts"))
-    pulled = pulls > config.threshold * np.maximum(counts, 1)
-    fields["pulls"].zero_()
-    fields["pull_counts"].zero_()
+    mean2d_gradient_norms, counts = (
+        to_host(fields[n])[:count] for n in ("mean2d_gradient_norms", "mean2d_gradient_counts")
+    )
+    pulled = mean2d_gradient_norms > config.threshold * np.maximum(counts, 1)
+    fields["mean2d_gradient_norms"].zero_()
+    fields["mean2d_gradient_counts"].zero_()
     if not pulled.any():
         return 0
     rows = gaussians.to_host() | {
-        n: to_host(fields[n])[:count].copy() for n in ("births", "votes") if n in fields
+        n: to_host(fields[n])[:count].copy() for n in ("keyframe_ids", "votes") if n in fields
     }
     large = pulled & (np.exp(rows["log_scales"].max(axis=1)) > config.split_scale)
     doubled = {n: values[pulled & ~large] for n, values in rows.items()}

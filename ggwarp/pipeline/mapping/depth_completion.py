@@ -18,7 +18,7 @@ _OPAQUE = 0.95
 
 
 @dataclass(frozen=True)
-class DepthGuessConfig:
+class DepthCompletionConfig:
     """Where monocular keyframes take their depth from."""
 
     lags: tuple[int, ...] = (1, 2, 4)
@@ -29,10 +29,10 @@ class DepthGuessConfig:
     """It goes before the map's where it differs by more than this share."""
 
 
-class DepthGuesser:
+class DepthCompletion:
     """Guesses the depth of pictures from the map and from the pictures before them."""
 
-    def __init__(self, config: DepthGuessConfig, camera: Camera) -> None:
+    def __init__(self, config: DepthCompletionConfig, camera: Camera) -> None:
         """``camera``: of all the pictures."""
         self._config = config
         self._camera = camera

@@ -16,7 +16,7 @@ _PAST = 2
 """Keyframes outside the window that each round takes in, so that the past is not forgotten (MonoGS)."""
 
 
-class Drawing(Protocol):
+class KeyframeSampler(Protocol):
     """Chooses keyframes, numbered in the order in which they came."""
 
     def add(self) -> None:
@@ -28,7 +28,7 @@ class Drawing(Protocol):
         ...
 
 
-class RandomDrawing:
+class RandomSampler:
     """The newest keyframe first, once; then any, at random (GS-ICP-SLAM)."""
 
     def __init__(self, rng: np.random.Generator) -> None:
@@ -47,7 +47,7 @@ class RandomDrawing:
         return int(self._rng.integers(self._count))
 
 
-class WindowDrawing:
+class WindowSampler:
     """Rounds over the covisible window, the newest first, and two keyframes of the past (MonoGS)."""
 
     def __init__(

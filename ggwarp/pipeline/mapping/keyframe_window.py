@@ -48,20 +48,20 @@ def leavers(poses: list[Float64], config: WindowConfig, look: Look) -> list[int]
     return sorted(gone)
 
 
-def unconfirmed(births: NDArray[np.int32], sights: dict[int, Seen], confirmations: int) -> Seen:
+def unconfirmed(keyframe_ids: NDArray[np.int32], sights: dict[int, Seen], confirmations: int) -> Seen:
     """Return [n] which Gaussians too few keyframes confirm, floaters of a guessed depth (MonoGS 3.3.3).
 
     Only those that the keyframes just before the newest one brought are looked at: older ones passed, and the
     newest's have not had their chance.
 
     Args:
-        births: [n] number of the keyframe that brought each Gaussian.
+        keyframe_ids: [n] number of the keyframe that brought each Gaussian.
         sights: keyframe of the window -> what it sees, [n].
         confirmations: keyframes other than its own that must see a Gaussian.
     """
     recent = sorted(sights)[-1 - _RECENT : -1]
-    others = np.sum([seen & (births != number) for number, seen in sights.items()], axis=0)
-    return np.isin(births, recent) & (others < confirmations)
+    others = np.sum([seen & (keyframe_ids != number) for number, seen in sights.items()], axis=0)
+    return np.isin(keyframe_ids, recent) & (others < confirmations)
 
 
 def _crowding(i: int, window: list[int], centres: Float64) -> float:

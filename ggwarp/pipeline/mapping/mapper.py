@@ -20,21 +20,21 @@ from ggwarp.objects.classifier import Classifier
 from ggwarp.objects.inventory import ObjectRecord, inventory
 from ggwarp.objects.linear_classifier import LinearClassifier
 from ggwarp.objects.mask_supervision import ObjectSupervision, SupervisionConfig
-from ggwarp.objects.visibility import Sightings
+from ggwarp.objects.visibility import ObjectVisibility
 from ggwarp.pipeline.mapping.densification import lower_opacities
-from ggwarp.pipeline.mapping.depth_completion import DepthGuessConfig, DepthGuesser
+from ggwarp.pipeline.mapping.depth_completion import DepthCompletion, DepthCompletionConfig
 from ggwarp.pipeline.mapping.exposure import estimate_exposure
 from ggwarp.pipeline.mapping.keyframe import upload
-from ggwarp.pipeline.mapping.keyframe_sampler import Drawing, RandomDrawing, WindowDrawing
+from ggwarp.pipeline.mapping.keyframe_sampler import KeyframeSampler, RandomSampler, WindowSampler
 from ggwarp.pipeline.mapping.keyframe_window import WindowConfig, unconfirmed
-from ggwarp.pipeline.mapping.optimiser import FitConfig, Fitter
+from ggwarp.pipeline.mapping.optimiser import MapOptimiser, OptimiserConfig
 from ggwarp.pipeline.mapping.seeding import SeedingConfig, seed_density, seed_gaussians
 from ggwarp.runtime.streams import to_host
 from ggwarp.types import Exposure, Float32, Float64, Frame, Rendered
 
 
 @dataclass(frozen=True)
-class MapperConfig(FitConfig):
+class MapperConfig(OptimiserConfig):
     """How the map is built and fitted."""
 
     iterations: int = 10
@@ -42,7 +42,7 @@ class MapperConfig(FitConfig):
     bootstrap: int = 0
     """More iterations on the first keyframe, for trackers that look at the map it makes."""
     seeding: SeedingConfig = field(default_factory=SeedingConfig)
-    depth_guess: DepthGuessConfig = field(default_factory=DepthGuessConfig)
+    depth_completion: DepthCompletionConfig = field(default_factory=DepthCompletionConfig)
     supervision: SupervisionConfig = field(default_factory=SupervisionConfig)
     object_probability: float = 0.3
     """A Gaussian belongs to its likeliest object when that is likelier than this (Gaussian Grouping)."""
@@ -60,7 +60,7 @@ class Mapper:
         covisibility: what a pose sees of the map; None without a window.
         sightings: which keyframes showed which class.
         keyframe_indices: frames that were ever used for mapping.
-        watched_indices: frames whose mask voted, but that were not mapped.
+        voting_indices: frames whose mask voted, but that were not mapped.
     """
 
     def __init__(
@@ -94,8 +94,8 @@ class Mapper:
         self.map = GaussianMap(device=device, has_identity=use_identity)
         self.classes = ClassTable()
         self.classifier = Classifier(config.classifier, self.map, seed=config.seed) if use_identity else None
-        self.sightings = Sightings()
-        self.watched_indices: list[int] = []
+        self.sightings = ObjectVisibility()
+        self.voting_indices: list[int] = []
         self._others = self._turns = 0
         self._supervision = (
             ObjectSupervision(
@@ -111,20 +111,20 @@ class Mapper:
         )
         self._renderer = Renderer(self.map, camera, identity_shapes=config.classifier.shapes)
         self.covisibility = None if window is None else Covisibility(self.map, camera)
-        self._guesser = DepthGuesser(config.depth_guess, camera) if monocular else None
-        self._drawing = self._make_drawing(window)
-        self._fitter = Fitter(
-            config, self.map, self._renderer, self.classifier, self._drawing, recorded=recorded
+        self._depth_completion = DepthCompletion(config.depth_completion, camera) if monocular else None
+        self._sampler = self._make_sampler(window)
+        self._optimiser = MapOptimiser(
+            config, self.map, self._renderer, self.classifier, self._sampler, recorded=recorded
         )
 
     @property
     def ready(self) -> bool:
         """Whether there is anything to fit."""
-        return bool(self._fitter.keyframes) and self.map.count > 0
+        return bool(self._optimiser.keyframes) and self.map.count > 0
 
     @property
     def keyframe_indices(self) -> list[int]:
-        return [keyframe.index for keyframe in self._fitter.keyframes]
+        return [keyframe.index for keyframe in self._optimiser.keyframes]
 
     def insert(self, frame: Frame, T_wc: Float64, exposure: Exposure | None = None) -> None:
         """Make ``frame`` a keyframe and add the Gaussians that it shows and the map lacks.
@@ -134,9 +134,9 @@ class Mapper:
             exposure: of its picture as tracking found it, if it did.
         """
         rendered = self.render(T_wc) if self.map.count else None
-        if self._guesser is not None and frame.depth is None:
+        if self._depth_completion is not None and frame.depth is None:
             assert rendered is not None
-            frame = replace(frame, depth=self._guesser.guess(frame, T_wc, rendered))
+            frame = replace(frame, depth=self._depth_completion.guess(frame, T_wc, rendered))
         assert frame.depth is not None
         exposure = self._exposure(frame, rendered, exposure)
         lesson = None
@@ -155,26 +155,26 @@ class Mapper:
             lesson=lesson,
             rng=self._identity_rng,
             exposure=exposure,
-            birth=len(self._fitter.keyframes),
+            keyframe_id=len(self._optimiser.keyframes),
         )
         self.map.append(batch)
         targets = None if lesson is None or frame.mask is None else lesson.targets
-        if self._guesser is not None:
+        if self._depth_completion is not None:
             frame = replace(frame, depth=None)
-        self._fitter.add(upload(frame, T_wc, targets, exposure, device=self._device))
+        self._optimiser.add(upload(frame, T_wc, targets, exposure, device=self._device))
         self._confirm()
 
     def _confirm(self) -> None:
         """Remove what too few keyframes of a full window see."""
-        drawing, look = self._drawing, None if self.covisibility is None else self.covisibility.look
-        if look is None or not isinstance(drawing, WindowDrawing) or not drawing.full:
+        drawing, look = self._sampler, None if self.covisibility is None else self.covisibility.look
+        if look is None or not isinstance(drawing, WindowSampler) or not drawing.full:
             return
         confirmations = drawing.config.confirmations
         if confirmations == 0:
             return
         sights = {number: look(self.keyframe_pose(number)).seen for number in drawing.window}
-        births = to_host(self.map.fields["births"])[: self.map.count]
-        kept = ~unconfirmed(births, sights, confirmations)
+        keyframe_ids = to_host(self.map.fields["keyframe_ids"])[: self.map.count]
+        kept = ~unconfirmed(keyframe_ids, sights, confirmations)
         self.map.keep(wp.array(kept.astype(np.int32), dtype=int, device=self._device))
 
     def remember(self, frame: Frame, T_wc: Float64, *, hurried: bool = False) -> None:
@@ -185,25 +185,25 @@ class Mapper:
         Args:
             hurried: leave objects as they are, as there is no time.
         """
-        if self._guesser is not None:
-            self._guesser.remember(frame, T_wc)
+        if self._depth_completion is not None:
+            self._depth_completion.remember(frame, T_wc)
         if not hurried and self._supervision is not None and self._config.supervision.votes > 0:
             self._watch(self._supervision, frame, T_wc)
 
     def _watch(self, supervision: ObjectSupervision, frame: Frame, T_wc: Float64) -> None:
         """Let the mask of a frame that is no keyframe vote, and look at a keyframe again, in turn."""
-        c, keyframes = self._config.supervision, self._fitter.keyframes
+        c, keyframes = self._config.supervision, self._optimiser.keyframes
         if not keyframes or not self.map.count:
             return
         if frame.index != keyframes[-1].index and frame.mask is not None and c.watch > 0:
             self._others += 1
             if self._others % c.watch != 0:
                 supervision.teach(frame, T_wc, self.render(T_wc), keep=False)
-                self.watched_indices.append(frame.index)
+                self.voting_indices.append(frame.index)
         self._turns += 1
         if c.revise > 0 and self._turns % c.revise == 0:
             number = self._turns // c.revise % len(keyframes)
-            again, T_wc = keyframes[number], self._fitter.pose(number)
+            again, T_wc = keyframes[number], self._optimiser.pose(number)
             past = replace(frame, index=again.index, depth=to_host(again.depth), mask=None)
             targets = supervision.revise(past, T_wc, self.render(T_wc))
             if targets is not None and again.labels is not None:
@@ -211,36 +211,36 @@ class Mapper:
 
     def iterate(self) -> None:
         """Fit the map to one keyframe once; on CUDA, queue it: the host reads nothing."""
-        self._fitter.iterate()
+        self._optimiser.iterate()
         c = self._config.densify
-        if c.reset_interval > 0 and self._fitter.iterations % c.reset_interval == 0:
+        if c.reset_interval > 0 and self._optimiser.iterations % c.reset_interval == 0:
             self._lower_opacities(c.reset_opacity)
 
     def _lower_opacities(self, opacity: float) -> None:
         """Lower those of the Gaussians that the window, or without one the newest keyframe, does not see."""
-        newest = len(self._fitter.keyframes) - 1
-        window = self._drawing.window if isinstance(self._drawing, WindowDrawing) else [newest]
+        newest = len(self._optimiser.keyframes) - 1
+        window = self._sampler.window if isinstance(self._sampler, WindowSampler) else [newest]
         sees = self.covisibility or Covisibility(self.map, self._camera)
         seen = np.any([sees.look(self.keyframe_pose(number)).seen for number in window], axis=0)
         lower_opacities(self.map, seen, opacity)
 
-    def settle(self) -> float:
+    def synchronise(self) -> float:
         """Wait for the iterations since the last call; return their mean loss, NaN where there were none."""
-        return self._fitter.settle()
+        return self._optimiser.synchronise()
 
     def keyframe_pose(self, number: int) -> Float64:
         """Return the pose T_wc [4, 4] of keyframe ``number`` (-1: the newest) as it is now."""
-        return self._fitter.pose(number)
+        return self._optimiser.pose(number)
 
     def keyframe_poses(self) -> dict[int, Float64]:
         """Return the pose of each keyframe that is fitted, by the frame's index; none where poses stay."""
         if not self.fits_poses:
             return {}
-        return {k.index: self._fitter.pose(number) for number, k in enumerate(self._fitter.keyframes)}
+        return {k.index: self._optimiser.pose(number) for number, k in enumerate(self._optimiser.keyframes)}
 
     def keyframe_exposure(self, number: int) -> Exposure:
         """Return the exposure of keyframe ``number`` (-1: the newest) as it is now."""
-        return self._fitter.exposure(number)
+        return self._optimiser.exposure(number)
 
     @property
     def fits_poses(self) -> bool:
@@ -298,7 +298,7 @@ class Mapper:
 
     def _exposure(self, frame: Frame, rendered: Rendered | None, tracked: Exposure | None) -> Exposure:
         """Return where the exposure of a new keyframe starts; the first one has the map's own."""
-        if rendered is None or not self._fitter.keyframes or self._config.exposure_rate <= 0.0:
+        if rendered is None or not self._optimiser.keyframes or self._config.exposure_rate <= 0.0:
             return Exposure()
         return tracked or estimate_exposure(frame, rendered, self.keyframe_exposure(-1))
 
@@ -310,8 +310,8 @@ class Mapper:
         sure = probabilities > self._config.object_probability
         return np.where(sure, self.classes.decode(classes), NO_OBJECT).astype(np.int32), probabilities
 
-    def _make_drawing(self, window: WindowConfig | None) -> Drawing:
+    def _make_sampler(self, window: WindowConfig | None) -> KeyframeSampler:
         if window is None:
-            return RandomDrawing(self._rng)
+            return RandomSampler(self._rng)
         assert self.covisibility is not None
-        return WindowDrawing(self._rng, window, self.covisibility.look, self.keyframe_pose)
+        return WindowSampler(self._rng, window, self.covisibility.look, self.keyframe_pose)

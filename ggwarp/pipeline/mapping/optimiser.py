@@ -14,16 +14,16 @@ from ggwarp.kernels.losses.isotropy import pull_round
 from ggwarp.kernels.losses.rgbd import DEPTH, DSSIM, L1, LOSS_COUNT, OBJECT, OBJECT_3D, add_total, rgbd_loss
 from ggwarp.kernels.math import vec16
 from ggwarp.kernels.optim.adam import AdamRates, adam_gaussians
-from ggwarp.kernels.optim.compact import count_idle, flag_kept
+from ggwarp.kernels.optim.compact import count_low_weight, flag_kept
 from ggwarp.kernels.optim.pose_adam import step_pose
 from ggwarp.kernels.workspaces import allocate_loss
 from ggwarp.map.gaussians import GaussianMap
 from ggwarp.map.renderer import Renderer
 from ggwarp.objects.classifier import Classifier, ClassifierConfig
-from ggwarp.pipeline.mapping.densification import DensifyConfig, multiply
+from ggwarp.pipeline.mapping.densification import DensifyConfig, densify_gaussians
 from ggwarp.pipeline.mapping.exposure import Exposing
 from ggwarp.pipeline.mapping.keyframe import EXPOSURE, POSE, Keyframe, Stage
-from ggwarp.pipeline.mapping.keyframe_sampler import Drawing
+from ggwarp.pipeline.mapping.keyframe_sampler import KeyframeSampler
 from ggwarp.runtime.graphs import GraphCache
 from ggwarp.runtime.streams import Backlog, to_host
 from ggwarp.types import Exposure, Float64
@@ -32,7 +32,7 @@ _RATES = AdamRates(means=2e-4, quats=2e-2, log_scales=2.5e-2, opacity=0.2, colou
 
 
 @dataclass(frozen=True)
-class FitConfig:
+class OptimiserConfig:
     """What the map is fitted to, and how fast."""
 
     colour_weight: float = 1.0
@@ -73,7 +73,7 @@ class FitConfig:
     classifier: ClassifierConfig = field(default_factory=ClassifierConfig)
 
 
-class Fitter:
+class MapOptimiser:
     """Fits a map to keyframes; the map's writer calls it.
 
     Attributes:
@@ -83,11 +83,11 @@ class Fitter:
 
     def __init__(
         self,
-        config: FitConfig,
+        config: OptimiserConfig,
         gaussians: GaussianMap,
         renderer: Renderer,
         classifier: Classifier | None,
-        drawing: Drawing,
+        drawing: KeyframeSampler,
         *,
         recorded: bool | None = None,
     ) -> None:
@@ -102,7 +102,7 @@ class Fitter:
         self._device = gaussians.device
         self._renderer = renderer
         self._classifier = classifier
-        self._drawing = drawing
+        self._sampler = drawing
         camera = renderer.camera
         self._workspace = allocate_loss(camera.height, camera.width, device=self._device)
         self._exposing = (
@@ -123,7 +123,7 @@ class Fitter:
     def add(self, keyframe: Keyframe) -> None:
         """Fit the map to ``keyframe``, too."""
         self.keyframes.append(keyframe)
-        self._drawing.add()
+        self._sampler.add()
         if self._recorded:
             self._renderer.provide(keyframe.T_cw)
 
@@ -138,7 +138,7 @@ class Fitter:
 
     def iterate(self) -> None:
         """Fit the map to one keyframe once; on CUDA, queue it: the host reads nothing."""
-        number = self._drawing.draw()
+        number = self._sampler.draw()
         keyframe = self.keyframes[number]
         with_3d = self._classifier is not None and self._classifier.begin_3d(self.iterations)
         # The first keyframe holds the world in place, and its brightness.
@@ -158,10 +158,10 @@ class Fitter:
             self._prune()
         d = self._config.densify
         if d.interval > 0 and self.iterations > d.offset and (self.iterations - d.offset) % d.interval == 0:
-            multiply(self._map, d, np.random.default_rng((5, self.iterations)))
+            densify_gaussians(self._map, d, np.random.default_rng((5, self.iterations)))
             self._renderer.make_room()
 
-    def settle(self) -> float:
+    def synchronise(self) -> float:
         """Wait for the iterations since the last call; return their mean loss, NaN where there were none."""
         total, count = to_host(self._totals).tolist()
         self._totals.zero_()
@@ -185,7 +185,9 @@ class Fitter:
             self._exposing.step(keyframe)
         else:
             self._evaluate(keyframe, self._renderer.image)
-        self._renderer.adjoint(keyframe.T_cw, pose=with_pose, pulls=self._config.densify.interval > 0)
+        self._renderer.adjoint(
+            keyframe.T_cw, pose=with_pose, mean2d_gradient_norms=self._config.densify.interval > 0
+        )
         if self._classifier is not None and with_3d:
             self._classifier.evaluate_3d(self._renderer, self._losses)
         if self._config.isotropic_weight > 0.0:
@@ -241,11 +243,11 @@ class Fitter:
             self._classifier.step()
 
     def _count_idle(self) -> None:
-        count_idle(
+        count_low_weight(
             self._renderer.weights,
             ranks=self._renderer.ranks,
             least_weight=self._config.prune_weight,
-            idle=self._map.fields["idle"],
+            low_weight_counts=self._map.fields["low_weight_counts"],
             device=self._device,
         )
 
@@ -266,8 +268,8 @@ class Fitter:
             flags=flags,
             min_opacity=self._config.prune_opacity,
             max_scale=self._config.prune_scale,
-            idle=self._map.fields["idle"] if self._config.prune_idle > 0 else None,
-            most_idle=self._config.prune_idle,
+            low_weight_counts=self._map.fields["low_weight_counts"] if self._config.prune_idle > 0 else None,
+            most_low_weight_counts=self._config.prune_idle,
             device=self._device,
         )
         self._map.keep(flags)
@@ -275,7 +277,7 @@ class Fitter:
         self._renderer.make_room()
 
 
-def _loss_weights(config: FitConfig) -> list[float]:
+def _loss_weights(config: OptimiserConfig) -> list[float]:
     """Return the weight of each entry of the losses in the total (GG-SLAM eq. 5)."""
     weights = [0.0] * LOSS_COUNT
     weights[L1] = config.colour_weight * (1.0 - config.dssim)

@@ -18,7 +18,7 @@ from ggwarp.geometry.camera import Camera
 from ggwarp.geometry.se3 import quats_from_matrices
 from ggwarp.map.gaussians import SH_C0, GaussianBatch
 from ggwarp.objects.classifier import random_identities
-from ggwarp.objects.mask_supervision import Lesson
+from ggwarp.objects.mask_supervision import LabelTargets
 from ggwarp.types import Exposure, Float32, Float64, Frame, Rendered
 
 _NEUTRAL = Exposure()
@@ -63,7 +63,7 @@ def seed_density(
         exposure: of the frame's picture.
     """
     assert frame.depth is not None
-    colour = exposure.taken_back(frame.rgb)
+    colour = exposure.undo_exposure(frame.rgb)
     smooth = cv2.GaussianBlur(colour, (0, 0), 1.0)
     contrast = cv2.blur(np.abs(colour - smooth).mean(axis=2), (3, 3))
     fresh = np.clip(config.min_density + config.detail_gain * contrast, 0.0, config.max_density)
@@ -117,10 +117,10 @@ def seed_gaussians(
     config: SeedingConfig,
     *,
     codes: Float32 | None,
-    lesson: Lesson | None,
+    lesson: LabelTargets | None,
     rng: np.random.Generator,
     exposure: Exposure = _NEUTRAL,
-    birth: int = 0,
+    keyframe_id: int = 0,
 ) -> GaussianBatch:
     """Return the Gaussians that ``frame`` adds at ``density`` (GG-SLAM 2.3, c).
 
@@ -132,7 +132,7 @@ def seed_gaussians(
         lesson: what the frame says of objects; None: nothing.
         rng: draws the identities.
         exposure: of the frame's picture.
-        birth: number of the keyframe.
+        keyframe_id: number of the keyframe.
     """
     assert frame.depth is not None
     rows, cols = choose_pixels(density, frame.index)
@@ -154,11 +154,11 @@ def seed_gaussians(
         quats=quats_from_matrices(R @ axes),
         log_scales=np.log(np.maximum(scales, 1e-5)).astype(np.float32),
         opacity_logits=np.full(count, np.log(config.opacity / (1.0 - config.opacity)), np.float32),
-        colours=((exposure.taken_back(frame.rgb[rows, cols]) - 0.5) / SH_C0).astype(np.float32),
+        colours=((exposure.undo_exposure(frame.rgb[rows, cols]) - 0.5) / SH_C0).astype(np.float32),
         identities=None
         if codes is None
         else _identities(codes, None if lesson is None else lesson.seeds[rows, cols], count, config, rng),
-        births=np.full(count, birth, np.int32),
+        keyframe_ids=np.full(count, keyframe_id, np.int32),
         votes=None if lesson is None else (lesson.labels[rows, cols] >= 0).astype(np.int32),
     )
 

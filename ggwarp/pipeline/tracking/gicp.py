@@ -10,16 +10,16 @@ import numpy as np
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
-from ggwarp.pipeline.tracking.motion_model import Motion, depth_time, slide
+from ggwarp.pipeline.tracking.motion_model import Motion, depth_time, position_std
 from ggwarp.pipeline.tracking.preprocess import Observation, ObservationConfig, observe
-from ggwarp.pipeline.tracking.relocalisation import Agreement, Recall, RecallConfig
+from ggwarp.pipeline.tracking.relocalisation import Relocaliser, RelocaliserConfig, ViewConsistency
 from ggwarp.runtime.streams import to_host
 from ggwarp.solvers.registration import Registrar, Registration, Stage, Target, build_target, match_distances2
 from ggwarp.types import Float32, Float64, Frame, MapSnapshot, TrackResult, Verdict
 
 
 @dataclass(frozen=True)
-class TrackerConfig:
+class GicpConfig:
     """How a frame is registered, and when its pose is believed."""
 
     observation: ObservationConfig = field(default_factory=ObservationConfig)
@@ -51,8 +51,8 @@ class TrackerConfig:
     remembered views agree with is taken; without such a pose the frame is lost."""
     clear_overlap: float = 0.9
     """That search ends where such a pose has this share."""
-    recall: RecallConfig = field(default_factory=RecallConfig)
-    max_slide: float = 0.01
+    recall: RelocaliserConfig = field(default_factory=RelocaliserConfig)
+    max_position_std: float = 0.01
     """A frame whose position is uncertain by more along some direction is poor, or lost if its overlap is
     poor too, metres; thrice that where earlier views agree with it."""
     max_jump: float = 0.5
@@ -71,13 +71,13 @@ class GicpTracker:
         registration: of the last frame, whether it was believed or not; None where there was none.
     """
 
-    def __init__(self, config: TrackerConfig, sensor_camera: Camera, *, device: Any = "cpu") -> None:
+    def __init__(self, config: GicpConfig, sensor_camera: Camera, *, device: Any = "cpu") -> None:
         """Make a tracker of frames whose sensor depth was taken by ``sensor_camera``."""
         self._config = config
         self._camera = sensor_camera
         self._device = device
         self._registrar = Registrar(device=device)
-        self._recall = Recall(config.recall, sensor_camera)
+        self._recall = Relocaliser(config.recall, sensor_camera)
         self._target: Target | None = None
         self._target_version: int | None = None
         self._motion: Motion | None = None
@@ -136,7 +136,7 @@ class GicpTracker:
         T_wd = T_wc @ se3.inverse(self._motion.to_colour(frame))
         self._motion = self._before.moved(T_wd, depth_time(frame))
 
-    def moved(self, T_wc: Float64) -> None:
+    def on_pose_corrected(self, T_wc: Float64) -> None:
         """The points that poses rest on stay where they are, whatever becomes of a keyframe's pose."""
 
     def to_colour(self, frame: Frame) -> Float64:
@@ -205,20 +205,20 @@ class GicpTracker:
 
     def _judge(self, found: _Found, predicted: Float64) -> tuple[Verdict, str]:
         config, fit, overlap = self._config, found.fit, found.overlap
-        slid, jump_reason = slide(fit.information), self._jump(fit, predicted)
+        std, jump_reason = position_std(fit.information), self._jump(fit, predicted)
         overlap_reason = f"overlap {overlap:.2f} with the map"
-        slide_reason = f"position free to slide by {slid:.3f} m"
+        slide_reason = f"position free to slide by {std:.3f} m"
         if overlap < config.lost_overlap:
             return Verdict.LOST, overlap_reason
-        if not np.isfinite(slid):
+        if not np.isfinite(std):
             return Verdict.LOST, "the geometry does not fix the pose"
         if found.agreement is not None and not found.believed:
             return Verdict.LOST, f"{overlap_reason}, {found.agreement} with earlier views"
         # One weakness alone can be the scene's; two together are a wrong pose.
-        slides = slid > config.max_slide * (3.0 if found.believed else 1.0)
+        slides = std > config.max_position_std * (3.0 if found.believed else 1.0)
         if slides and overlap < config.poor_overlap:
             return Verdict.LOST, f"{slide_reason}, {overlap_reason}"
-        if slid > config.max_slide:
+        if std > config.max_position_std:
             return Verdict.POOR, slide_reason
         if overlap < config.poor_overlap:
             return Verdict.POOR, overlap_reason
@@ -256,7 +256,7 @@ class _Found:
     fit: Registration
     distances2: Float32
     overlap: float
-    agreement: Agreement | None = None
+    agreement: ViewConsistency | None = None
     believed: bool = False
 
     @property

@@ -12,8 +12,8 @@ import numpy as np
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from ggwarp.map.renderer import Renderer
-from ggwarp.pipeline.tracking.gicp import GicpTracker, TrackerConfig
-from ggwarp.pipeline.tracking.motion_model import depth_time, slide
+from ggwarp.pipeline.tracking.gicp import GicpConfig, GicpTracker
+from ggwarp.pipeline.tracking.motion_model import depth_time, position_std
 from ggwarp.pipeline.tracking.pose_refinement import RefinementConfig, Refiner
 from ggwarp.solvers.alignment import Prior
 from ggwarp.types import Float32, Float64, Frame, MapSnapshot, TrackResult, Verdict
@@ -33,7 +33,7 @@ class HybridConfig:
     """How much larger the pose's deviation is than the 6x6 system says at the depth's own noise."""
     velocity_deviation: float = 0.1
     """Deviation of the velocity, metres and half radians a second: depth and colour are not taken at once."""
-    max_slide: float = 2e-4
+    max_position_std: float = 2e-4
     """Colour is asked where the position is more uncertain along some direction, metres."""
     min_noise: float = 0.05
     """Least noise to believe in, as a share of the tracker's noise model."""
@@ -51,7 +51,7 @@ class HybridTracker:
     def __init__(
         self,
         config: HybridConfig,
-        gicp: TrackerConfig,
+        gicp: GicpConfig,
         sensor_camera: Camera,
         renderer: Renderer,
         *,
@@ -59,7 +59,7 @@ class HybridTracker:
     ) -> None:
         """Make a tracker of frames with colour by ``renderer``'s camera and depth by ``sensor_camera``."""
         self._config = config
-        self._observation, self._tracker_slide = gicp.observation, gicp.max_slide
+        self._observation, self._tracker_slide = gicp.observation, gicp.max_position_std
         self._gicp = GicpTracker(gicp, sensor_camera, device=device)
         self._refiner = Refiner(config.refinement, renderer, device=device)
 
@@ -75,10 +75,10 @@ class HybridTracker:
         """
         result = self._gicp.track(frame, target)
         prior = self._prior(frame, result)
-        sure = prior is not None and slide(prior.information) <= self._config.max_slide
+        sure = prior is not None and position_std(prior.information) <= self._config.max_position_std
         if sure and result.verdict is not Verdict.LOST:
             return result
-        # A lost frame's registration may have slid anywhere that geometry allows.
+        # A lost frame's registration may have std anywhere that geometry allows.
         found = self._refiner.refine(frame, result.T_wc, prior=prior)
         if found.objection:
             return result
@@ -96,13 +96,13 @@ class HybridTracker:
             exposure=found.as_exposure(),
         )
 
-    def moved(self, T_wc: Float64) -> None:
+    def on_pose_corrected(self, T_wc: Float64) -> None:
         """The points that poses rest on stay where they are, whatever becomes of a keyframe's pose."""
 
     def _weak(self) -> bool:
         """Whether geometry alone would have let the position slide."""
         fit = self._gicp.registration
-        return fit is None or slide(fit.information) > self._tracker_slide
+        return fit is None or position_std(fit.information) > self._tracker_slide
 
     def _prior(self, frame: Frame, result: TrackResult) -> Prior | None:
         """Return what the last registration says of the colour's pose; None where there was none."""

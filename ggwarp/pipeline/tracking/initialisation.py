@@ -22,7 +22,7 @@ from ggwarp.types import Float32, Float64, Frame
 
 
 @dataclass(frozen=True)
-class MonoStartConfig:
+class InitialisationConfig:
     """When a monocular map begins, and at which scale."""
 
     median_depth: float = 2.0
@@ -42,7 +42,7 @@ class MonoStartConfig:
 
 
 @dataclass(frozen=True)
-class Begun:
+class Initialisation:
     """A start.
 
     Attributes:
@@ -55,7 +55,7 @@ class Begun:
     poses: dict[int, Float64]
 
 
-class MonoStart:
+class MonocularInitialiser:
     """Waits for parallax between a first picture and a later one.
 
     Attributes:
@@ -63,7 +63,7 @@ class MonoStart:
         restarts: how often the first picture was given up for a newer one.
     """
 
-    def __init__(self, config: MonoStartConfig, camera: Camera) -> None:
+    def __init__(self, config: InitialisationConfig, camera: Camera) -> None:
         """``camera``: of all the pictures."""
         self._config = config
         self._camera = camera
@@ -72,7 +72,7 @@ class MonoStart:
         self.waiting_for = ""
         self.restarts = 0
 
-    def add(self, frame: Frame, T_first: Float64) -> Begun | None:
+    def add(self, frame: Frame, T_first: Float64) -> Initialisation | None:
         """Take in the next frame; return the start when there is one.
 
         Args:
@@ -103,7 +103,7 @@ class MonoStart:
         self._frames = self._frames[-1:]
         self.restarts += 1
 
-    def _judged(self, matches: Matches, T_other: Float64, T_first: Float64) -> Begun | None:
+    def _judged(self, matches: Matches, T_other: Float64, T_first: Float64) -> Initialisation | None:
         """Return the start that this motion [4, 4] to the newest picture makes; None: too uncertain."""
         c, newest = self._config, self._frames[-1]
         seen = triangulate(matches, T_other, self._camera)
@@ -118,7 +118,7 @@ class MonoStart:
         back = self._matcher.match(grey(newest.rgb), grey(self._frames[0].rgb))
         here = triangulate(back, se3.inverse(T_other), self._camera)
         depth_here = np.where(here.known(c.tolerance), here.depth(), np.float32(0.0))
-        return Begun(poses[newest.index], filled(depth_here), poses)
+        return Initialisation(poses[newest.index], filled(depth_here), poses)
 
     def _between(self, depth: Float32, T_last: Float64, T_first: Float64) -> dict[int, Float64]:
         """Return the pose [4, 4] of every frame since the first, whose depth is known in part."""

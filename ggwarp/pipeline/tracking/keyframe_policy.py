@@ -47,7 +47,7 @@ class KeyframePolicy(Protocol):
         """Return what the frame behind ``result`` adds; call once a frame, in order."""
         ...
 
-    def moved(self, T_wc: Float64) -> None:
+    def on_pose_corrected(self, T_wc: Float64) -> None:
         """Take note that the last keyframe's pose [4, 4] was corrected."""
         ...
 
@@ -75,7 +75,7 @@ class OverlapKeyframes:
         due = self._since_tracking % self._config.mapping_interval == 0
         return KeyframeKind.MAPPING if due else KeyframeKind.NONE
 
-    def moved(self, T_wc: Float64) -> None:
+    def on_pose_corrected(self, T_wc: Float64) -> None:
         """Nothing here depends on where keyframes are."""
 
 
@@ -118,7 +118,7 @@ class CovisibilityKeyframes:
         # Without depth there are no points to register to.
         return KeyframeKind.MAPPING if result.points is None else KeyframeKind.TRACKING
 
-    def moved(self, T_wc: Float64) -> None:
+    def on_pose_corrected(self, T_wc: Float64) -> None:
         """Take note that the last keyframe's pose was corrected to ``T_wc`` [4, 4]."""
         self._last = T_wc
 

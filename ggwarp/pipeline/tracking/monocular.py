@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ggwarp.map.renderer import Renderer
-from ggwarp.pipeline.tracking.initialisation import MonoStart, MonoStartConfig
+from ggwarp.pipeline.tracking.initialisation import InitialisationConfig, MonocularInitialiser
 from ggwarp.pipeline.tracking.photometric import PhotometricConfig, PhotometricTracker
 from ggwarp.types import Float64, Frame, MapSnapshot, TrackResult, Verdict
 
@@ -17,20 +17,25 @@ class MonocularTracker(PhotometricTracker):
     """Holds the first frames until their depth can be told, then tracks by colour.
 
     Attributes:
-        misled: the map is not what the camera sees: the start was bad, and it must begin anew.
+        init_failed: the map is not what the camera sees: the start was bad, and it must begin anew.
         poses: index -> [4, 4] pose of the frames up to the start, known only then.
     """
 
     def __init__(
-        self, config: PhotometricConfig, start: MonoStartConfig, renderer: Renderer, *, device: Any = "cpu"
+        self,
+        config: PhotometricConfig,
+        start: InitialisationConfig,
+        renderer: Renderer,
+        *,
+        device: Any = "cpu",
     ) -> None:
         """Make a tracker of frames whose pictures ``renderer``'s camera took."""
         super().__init__(config, renderer, device=device)
-        self._start = MonoStart(start, renderer.camera)
+        self._start = MonocularInitialiser(start, renderer.camera)
         self._first: Float64 | None = None
         self._trial = start.trial
         self._tracked = self._lost = 0
-        self.misled = False
+        self.init_failed = False
         self.poses: dict[int, Float64] = {}
 
     def start(self, frame: Frame, T_wc: Float64) -> TrackResult:
@@ -53,5 +58,5 @@ class MonocularTracker(PhotometricTracker):
         result = super().track(frame, target)
         self._tracked += 1
         self._lost += result.verdict is Verdict.LOST
-        self.misled = self._lost > 1 and self._tracked <= self._trial
+        self.init_failed = self._lost > 1 and self._tracked <= self._trial
         return result

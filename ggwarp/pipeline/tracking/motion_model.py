@@ -53,7 +53,7 @@ def depth_time(frame: Frame) -> float:
     return frame.timestamp if frame.depth_timestamp is None else frame.depth_timestamp
 
 
-def slide(information: Float64) -> float:
+def position_std(information: Float64) -> float:
     """Return the largest standard deviation of the position, metres; inf where it is not determined.
 
     Args:

@@ -76,7 +76,7 @@ class PhotometricTracker:
             exposure=found.as_exposure(),
         )
 
-    def moved(self, T_wc: Float64) -> None:
+    def on_pose_corrected(self, T_wc: Float64) -> None:
         """Take note that the last frame's pose [4, 4] was corrected by the mapper."""
         if self._motion is not None:
             self._motion.T_wc = T_wc

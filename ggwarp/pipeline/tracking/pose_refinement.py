@@ -10,7 +10,7 @@ import numpy as np
 
 from ggwarp.geometry import se3
 from ggwarp.map.renderer import Renderer
-from ggwarp.pipeline.tracking.motion_model import slide
+from ggwarp.pipeline.tracking.motion_model import position_std
 from ggwarp.pipeline.tracking.pose_descent import Descent, DescentConfig
 from ggwarp.solvers.alignment import Aligner, AlignmentConfig, Prior, System
 from ggwarp.types import Exposure, Float64, Frame
@@ -33,7 +33,7 @@ class RefinementConfig:
     """A picture of which less can be compared with the map says nothing of the pose."""
     max_cost: float = 5.0
     """Nor does one that differs more: the robust cost of a pixel, from 0 to robust_scale^2."""
-    max_slide: float = 0.02
+    max_position_std: float = 0.02
     """Nor does one that leaves the position more uncertain along some direction, metres."""
 
 
@@ -122,14 +122,14 @@ class Refiner:
         c, system, camera = self._config, found.system, self._renderer.camera
         share = system.pixels / (camera.width * camera.height)
         information = c.alignment.independence * system.H[:6, :6]
-        slid = slide(information if prior is None else information + prior.information)
+        std = position_std(information if prior is None else information + prior.information)
         objection = ""
         if share < c.min_share:
             objection = f"only {share:.2f} of the picture can be compared with the map"
         elif system.mean_cost > c.max_cost:
             objection = f"the picture differs from the map by {system.mean_cost:.1f} noise variances a pixel"
-        elif slid > c.max_slide:
-            objection = f"colour leaves the position free to slide by {slid:.3f} m"
+        elif std > c.max_position_std:
+            objection = f"colour leaves the position free to slide by {std:.3f} m"
         if not objection:
             self._exposure = found.exposure
         return Refined(

@@ -19,7 +19,7 @@ from ggwarp.types import Float32, Float64, Frame
 
 
 @dataclass(frozen=True)
-class RecallConfig:
+class RelocaliserConfig:
     """How views are remembered, and what agrees with them."""
 
     width: int = 64
@@ -47,7 +47,7 @@ class RecallConfig:
 
 
 @dataclass(frozen=True)
-class Agreement:
+class ViewConsistency:
     """How a frame at some pose looks beside remembered views.
 
     Attributes:
@@ -81,10 +81,10 @@ class _View:
     shades: Float32
 
 
-class Recall:
+class Relocaliser:
     """Remembers small views with their poses."""
 
-    def __init__(self, config: RecallConfig, sensor_camera: Camera) -> None:
+    def __init__(self, config: RelocaliserConfig, sensor_camera: Camera) -> None:
         """Remember nothing yet; frames' sensor depth is by ``sensor_camera``."""
         self._config = config
         height = max(1, round(config.width * sensor_camera.height / sensor_camera.width))
@@ -130,11 +130,11 @@ class Recall:
                 break
         return best
 
-    def agreement(self, frame: Frame, T_wc: Float64) -> Agreement:
+    def agreement(self, frame: Frame, T_wc: Float64) -> ViewConsistency:
         """Return how ``frame`` from ``T_wc`` [4, 4] agrees with the nearest views."""
         return self._compare(self._view(frame), T_wc, views=self._config.compared)
 
-    def believes(self, found: Agreement) -> bool:
+    def believes(self, found: ViewConsistency) -> bool:
         """Whether that is agreement enough to believe the pose."""
         c = self._config
         return (
@@ -161,7 +161,7 @@ class Recall:
 
     def _compare(
         self, view: _View, T_wc: Float64, *, views: int, slack: float = 1.0, thinning: int = 1
-    ) -> Agreement:
+    ) -> ViewConsistency:
         shared, correlation = 0.0, 1.0
         seen = through = 0
         for i in np.argsort(self._distances(T_wc), kind="stable")[:views]:
@@ -173,7 +173,7 @@ class Recall:
             seen += passed + passed_back + len(here) + len(back)
             if len(here) > shared * len(view.points):
                 shared, correlation = len(here) / len(view.points), _correlation(here, there)
-        return Agreement(shared, through / max(seen, 1), correlation)
+        return ViewConsistency(shared, through / max(seen, 1), correlation)
 
     def _project(self, view: _View, other: _View, T: Float64, slack: float) -> tuple[Float32, Float32, int]:
         """Return both greys where points of ``view`` agree with ``other``, and how many it sees through.

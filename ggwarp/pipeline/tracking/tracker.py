@@ -7,10 +7,10 @@ from typing import Any, Literal, Protocol
 
 from ggwarp.geometry.camera import Camera
 from ggwarp.map.renderer import Renderer
-from ggwarp.pipeline.tracking.gicp import GicpTracker, TrackerConfig
+from ggwarp.pipeline.tracking.gicp import GicpConfig, GicpTracker
 from ggwarp.pipeline.tracking.given_poses import GivenPoses
 from ggwarp.pipeline.tracking.hybrid import HybridConfig, HybridTracker
-from ggwarp.pipeline.tracking.initialisation import MonoStartConfig
+from ggwarp.pipeline.tracking.initialisation import InitialisationConfig
 from ggwarp.pipeline.tracking.monocular import MonocularTracker
 from ggwarp.pipeline.tracking.photometric import PhotometricConfig, PhotometricTracker
 from ggwarp.types import Float64, Frame, MapSnapshot, TrackResult
@@ -29,7 +29,7 @@ class Tracker(Protocol):
         """Return the pose of the next frame."""
         ...
 
-    def moved(self, T_wc: Float64) -> None:
+    def on_pose_corrected(self, T_wc: Float64) -> None:
         """Take note that the last frame's pose [4, 4] was corrected by the mapper."""
         ...
 
@@ -37,12 +37,12 @@ class Tracker(Protocol):
 def make_tracker(
     kind: TrackerKind,
     *,
-    gicp: TrackerConfig,
+    gicp: GicpConfig,
     photometric: PhotometricConfig,
     hybrid: HybridConfig,
     sensor_camera: Camera,
     renderer: Renderer,
-    mono_start: MonoStartConfig | None = None,
+    initialisation: InitialisationConfig | None = None,
     device: Any,
 ) -> Tracker:
     """Return a tracker of frames with colour by the renderer's camera and depth by ``sensor_camera``.
@@ -50,8 +50,8 @@ def make_tracker(
     Args:
         renderer: of the map that is being built; for those that look at it.
     """
-    if mono_start is not None:
-        return MonocularTracker(photometric, mono_start, renderer, device=device)
+    if initialisation is not None:
+        return MonocularTracker(photometric, initialisation, renderer, device=device)
     if kind == "photometric":
         return PhotometricTracker(photometric, renderer, device=device)
     if kind == "hybrid":

@@ -140,9 +140,9 @@ def test_a_plane_is_painted_as_it_was_seen(whole, device):
     board = whole.object_ids == 5
     kept = remove(whole, board)
     views = MapView(whole, CAMERA, device=device), MapView(kept, CAMERA, device=device)
-    sights = [look(*views, T_wc, board) for T_wc in POSES]
-    hole = find_holes(kept, sights, CAMERA)[0]
-    surface = paint(hole, sights, CAMERA, inpaint_shade, margin=8, tolerance=0.01)
+    views = [look(*views, T_wc, board) for T_wc in POSES]
+    hole = find_holes(kept, views, CAMERA)[0]
+    surface = paint(hole, views, CAMERA, inpaint_shade, margin=8, tolerance=0.01)
     at = hole.plane.points(hole.plane.coordinates(hole.centres(hole.states == SEEN))[:, :2])
     away = (np.abs(at[:, :2]) > 0.33).any(axis=1) & (np.abs(at[:, 0]) < 0.8) & (np.abs(at[:, 1]) < 0.6)
     assert away.sum() > 50

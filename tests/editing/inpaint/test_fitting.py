@@ -2,7 +2,7 @@
 import numpy as np
 
 from ggwarp.editing.edits import recolour
-from ggwarp.editing.inpaint.fitting import FitConfig, Target, fit
+from ggwarp.editing.inpaint.fitting import RefitConfig, Target, fit
 from ggwarp.editing.map_view import MapView
 from ggwarp.editing.saved_run import load_run
 from ggwarp.kernels.optim.adam import AdamRates
@@ -27,7 +27,7 @@ def test_free_gaussians_learn_and_held_ones_keep_every_bit(run_folder, device):
         cube,
         targets,
         run.camera,
-        FitConfig(iterations=60, rates=AdamRates(colours=0.1)),
+        RefitConfig(iterations=60, rates=AdamRates(colours=0.1)),
         device=device,
     )
     assert error(fitted) < 0.5 * error(run.gaussians)

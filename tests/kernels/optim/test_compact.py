@@ -59,25 +59,28 @@ def test_flags_opacity_and_scale(device):
 
 
 def test_flags_drop_what_is_idle_for_too_long(device):
-    idle = wp.array([0, 4, 5, 6], dtype=wp.int32, device=device)
-    np.testing.assert_array_equal(flags_of(healthy(4), device, idle=idle, most_idle=5), [1, 1, 0, 0])
+    low_weight_counts = wp.array([0, 4, 5, 6], dtype=wp.int32, device=device)
+    np.testing.assert_array_equal(
+        flags_of(healthy(4), device, low_weight_counts=low_weight_counts, most_low_weight_counts=5),
+        [1, 1, 0, 0],
+    )
 
 
 @pytest.mark.parametrize("n", [0, 1, 3000])
 def test_idle_views_are_counted_in_a_row(device, rng, n):
     ranks = rng.integers(-1, 2, n).astype(np.int32)
     weights = rng.choice(np.array([0.0, 0.09, 0.1, 5.0, np.nan], np.float32), n)
-    idle = rng.integers(0, 9, n + 5).astype(np.int32)
-    expected = idle.copy()
+    low_weight_counts = rng.integers(0, 9, n + 5).astype(np.int32)
+    expected = low_weight_counts.copy()
     for i in range(n):
         if ranks[i] >= 0:
-            expected[i] = idle[i] + 1 if weights[i] < np.float32(0.1) else 0
-    counted = wp.array(idle, device=device)
-    compact.count_idle(
+            expected[i] = low_weight_counts[i] + 1 if weights[i] < np.float32(0.1) else 0
+    counted = wp.array(low_weight_counts, device=device)
+    compact.count_low_weight(
         wp.array(weights, device=device),
         ranks=wp.array(ranks, device=device),
         least_weight=0.1,
-        idle=counted,
+        low_weight_counts=counted,
         device=device,
     )
     np.testing.assert_array_equal(counted.numpy(), expected)

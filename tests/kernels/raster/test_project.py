@@ -78,7 +78,7 @@ class Projector:
                 out.assign(spread.astype(np.float32))
         gradients = {k: wp.zeros_like(a) for k, a in self.arrays.items()}
         self.weights = wp.full(self.n, -1.0, dtype=float, device=self.device)
-        self.pulls = (
+        self.mean2d_gradients = (
             wp.full(self.n, 0.5, dtype=float, device=self.device),
             wp.full(self.n, 7, dtype=int, device=self.device),
         )
@@ -92,7 +92,7 @@ class Projector:
             slots=slots,
             **{f"d_{k}": g for k, g in gradients.items()},
             weights=self.weights,
-            pulls=self.pulls,
+            mean2d_gradient_norms=self.mean2d_gradients,
             d_pose_scratch=scratch if pose else (),
         )
         result = {k: g.numpy() for k, g in gradients.items()}
@@ -186,9 +186,9 @@ def test_adjoint_agrees_with_the_oracle(device, rng, spread):
     weights = projector.weights.numpy()
     np.testing.assert_allclose(weights[seen[:, 0]], 1.0 + np.flatnonzero(seen), rtol=1e-5)
     assert (weights[~seen[:, 0]] == -1.0).all(), "left as they are"
-    pulls, counts = (array.numpy() for array in projector.pulls)
+    norms, counts = (array.numpy() for array in projector.mean2d_gradients)
     lengths = np.linalg.norm(d_means2d * [0.5 * CAMERA.width, 0.5 * CAMERA.height], axis=1)
-    np.testing.assert_allclose(pulls, 0.5 + np.where(seen[:, 0], lengths, 0.0), rtol=1e-4)
+    np.testing.assert_allclose(norms, 0.5 + np.where(seen[:, 0], lengths, 0.0), rtol=1e-4)
     np.testing.assert_array_equal(counts, np.where(seen[:, 0], 8, 7))
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gaussians that multiply where the loss pulls at them, and opacities that begin anew."""
+"""Gaussians that are densified where the loss pulls at them, and opacities that begin anew."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ggwarp.datasets.built_in.synthetic import SyntheticOffice
 from ggwarp.geometry import se3
 from ggwarp.kernels.optim.adam import OPACITY_LANE
 from ggwarp.map.gaussians import GaussianBatch, GaussianMap
-from ggwarp.pipeline.mapping.densification import DensifyConfig, lower_opacities, multiply
+from ggwarp.pipeline.mapping.densification import DensifyConfig, densify_gaussians, lower_opacities
 from ggwarp.pipeline.mapping.mapper import Mapper, MapperConfig
 
 CONFIG = DensifyConfig(interval=1, threshold=0.5, split_scale=0.1)
@@ -30,7 +30,7 @@ def made(device: str, rng: np.random.Generator, count: int) -> GaussianMap:
             opacity_logits=rng.normal(size=count).astype(np.float32),
             colours=rng.normal(size=(count, 3)).astype(np.float32),
             identities=rng.normal(size=(count, 16)).astype(np.float32),
-            births=np.arange(count, dtype=np.int32),
+            keyframe_ids=np.arange(count, dtype=np.int32),
             votes=10 + np.arange(count, dtype=np.int32),
         )
     )
@@ -49,17 +49,17 @@ def test_small_ones_are_doubled_and_large_ones_split(device: str, rng: np.random
     large[3] = np.log([0.3, 1e-6, 1e-6])
     assign(gaussians, "log_scales", large)
     # In the mean: 0.4, 0.6, none seen, 0.6, 0.5.
-    assign(gaussians, "pulls", np.float32([4.0, 6.0, 0.0, 1.2, 0.5]))
-    assign(gaussians, "pull_counts", np.int32([10, 10, 0, 2, 1]))
+    assign(gaussians, "mean2d_gradient_norms", np.float32([4.0, 6.0, 0.0, 1.2, 0.5]))
+    assign(gaussians, "mean2d_gradient_counts", np.int32([10, 10, 0, 2, 1]))
     before = gaussians.to_host()
 
-    assert multiply(gaussians, CONFIG, rng) == 2
+    assert densify_gaussians(gaussians, CONFIG, rng) == 2
 
     after = gaussians.to_host()
     assert gaussians.count == 5 + 1 + 1
-    births = gaussians.fields["births"].numpy()[:7].tolist()
-    assert births == [0, 1, 2, 4, 1, 3, 3]
-    np.testing.assert_array_equal(gaussians.fields["votes"].numpy()[:7], 10 + np.array(births))
+    keyframe_ids = gaussians.fields["keyframe_ids"].numpy()[:7].tolist()
+    assert keyframe_ids == [0, 1, 2, 4, 1, 3, 3]
+    np.testing.assert_array_equal(gaussians.fields["votes"].numpy()[:7], 10 + np.array(keyframe_ids))
     for name, values in after.items():
         np.testing.assert_array_equal(values[:5], before[name][[0, 1, 2, 4, 1]], err_msg=name)
         if name not in ("means", "log_scales"):
@@ -70,16 +70,19 @@ def test_small_ones_are_doubled_and_large_ones_split(device: str, rng: np.random
     moved = after["means"][5:] - before["means"][3]
     np.testing.assert_allclose(moved, (moved @ axis)[:, None] * axis, atol=1e-4)
     assert 0.0 < np.abs(moved).max() < 1.5 and not np.allclose(moved[0], moved[1])
-    assert not gaussians.fields["pulls"].numpy().any() and not gaussians.fields["pull_counts"].numpy().any()
+    assert (
+        not gaussians.fields["mean2d_gradient_norms"].numpy().any()
+        and not gaussians.fields["mean2d_gradient_counts"].numpy().any()
+    )
 
 
 @pytest.mark.parametrize("count", [0, 1, 20])
 def test_without_pulls_nothing_changes(count: int, device: str, rng: np.random.Generator) -> None:
     gaussians = made(device, rng, count)
     version = gaussians.version
-    assert multiply(gaussians, CONFIG, rng) == 0 and gaussians.version == version
-    assign(gaussians, "pulls", np.full(count, np.nan, np.float32))
-    assert multiply(gaussians, CONFIG, rng) == 0, "NaN pulls at nothing"
+    assert densify_gaussians(gaussians, CONFIG, rng) == 0 and gaussians.version == version
+    assign(gaussians, "mean2d_gradient_norms", np.full(count, np.nan, np.float32))
+    assert densify_gaussians(gaussians, CONFIG, rng) == 0, "NaN pulls at nothing"
 
 
 def test_unseen_opacities_are_lowered_and_forget_their_moments(device: str, rng: np.random.Generator) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from ggwarp.datasets.built_in.synthetic import SyntheticOffice
 from ggwarp.geometry.two_views import filled
-from ggwarp.pipeline.mapping.depth_completion import DepthGuessConfig, DepthGuesser
+from ggwarp.pipeline.mapping.depth_completion import DepthCompletion, DepthCompletionConfig
 from ggwarp.types import Frame, Rendered
 
 OFFICE = SyntheticOffice(scale=0.2)
@@ -28,8 +28,8 @@ def view(frame: Frame, share: float, wrong: float = 1.0) -> Rendered:
     return Rendered((frame.rgb / 255.0).astype(np.float32), depth, depth, opacity)
 
 
-def guesser(frames: list[Frame]) -> DepthGuesser:
-    out = DepthGuesser(DepthGuessConfig(), OFFICE.camera)
+def guesser(frames: list[Frame]) -> DepthCompletion:
+    out = DepthCompletion(DepthCompletionConfig(), OFFICE.camera)
     for frame in frames:
         assert frame.T_wc is not None
         out.remember(dataclasses.replace(frame, depth=None, T_wc=None), frame.T_wc)

@@ -57,7 +57,7 @@ def made(device: str, frames: list[Frame], config: MapperConfig, *, recorded: bo
         mapper.insert(frame, frame.T_wc)
         for _ in range(30):
             mapper.iterate()
-    mapper.settle()
+    mapper.synchronise()
     return mapper
 
 

@@ -3,14 +3,14 @@ from collections import Counter
 
 import numpy as np
 
-from ggwarp.map.covisibility import Sight
-from ggwarp.pipeline.mapping.keyframe_sampler import RandomDrawing, WindowDrawing
+from ggwarp.map.covisibility import Visibility
+from ggwarp.pipeline.mapping.keyframe_sampler import RandomSampler, WindowSampler
 from ggwarp.pipeline.mapping.keyframe_window import WindowConfig
 from ggwarp.types import Float64
 
 
 def test_the_newest_comes_first_and_once(rng: np.random.Generator) -> None:
-    drawing = RandomDrawing(rng)
+    drawing = RandomSampler(rng)
     for _ in range(50):
         drawing.add()
     assert drawing.draw() == 49
@@ -19,19 +19,19 @@ def test_the_newest_comes_first_and_once(rng: np.random.Generator) -> None:
     assert Counter(drawing.draw() for _ in range(200)).most_common(1)[0][1] < 30
 
 
-def drawing_along_a_corridor(rng: np.random.Generator, steps: int) -> WindowDrawing:
+def drawing_along_a_corridor(rng: np.random.Generator, steps: int) -> WindowSampler:
     """A keyframe each 0.2 m; views reach one metre, so that three metres back nothing is shared."""
 
-    def look(T_wc: Float64) -> Sight:
+    def look(T_wc: Float64) -> Visibility:
         centres = np.arange(1000) / 50.0
-        return Sight(np.abs(centres - T_wc[0, 3]) < 0.5, 1.0)
+        return Visibility(np.abs(centres - T_wc[0, 3]) < 0.5, 1.0)
 
     def pose(k: int) -> Float64:
         T = np.eye(4)
         T[0, 3] = 0.2 * k
         return T
 
-    drawing = WindowDrawing(rng, WindowConfig(size=4, cutoff=0.4), look, pose)
+    drawing = WindowSampler(rng, WindowConfig(size=4, cutoff=0.4), look, pose)
     for _ in range(steps):
         drawing.add()
     return drawing

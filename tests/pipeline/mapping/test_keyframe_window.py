@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
 
-from ggwarp.map.covisibility import Sight
+from ggwarp.map.covisibility import Visibility
 from ggwarp.pipeline.mapping.keyframe_window import WindowConfig, leavers, unconfirmed
 from ggwarp.types import Float64
 
@@ -14,10 +14,10 @@ def at(x: float) -> Float64:
     return T
 
 
-def look(T_wc: Float64) -> Sight:
+def look(T_wc: Float64) -> Visibility:
     """A corridor of 100 Gaussians to the metre, of which one metre is in view, one metre away."""
     centres = (np.arange(1000) + 0.5) / 100.0
-    return Sight(np.abs(centres - 5.0 - T_wc[0, 3]) < 0.5, 1.0)
+    return Visibility(np.abs(centres - 5.0 - T_wc[0, 3]) < 0.5, 1.0)
 
 
 def test_keyframes_leave_that_share_too_little_with_the_newest() -> None:
@@ -38,7 +38,7 @@ def test_a_window_that_is_too_full_loses_its_most_crowded_keyframe() -> None:
 
 
 def test_gaussians_of_late_are_dropped_unless_other_keyframes_see_them() -> None:
-    births = np.array([0, 3, 3, 5, 5, 6, 6, 7, 7], np.int32)
+    keyframe_ids = np.array([0, 3, 3, 5, 5, 6, 6, 7, 7], np.int32)
     sights = {
         0: [0, 0, 0, 0, 0, 0, 1, 0, 0],
         3: [0, 1, 0, 0, 0, 0, 1, 0, 0],
@@ -47,7 +47,7 @@ def test_gaussians_of_late_are_dropped_unless_other_keyframes_see_them() -> None
         7: [0, 1, 1, 0, 1, 0, 0, 1, 1],
     }
     seen = {number: np.array(row, bool) for number, row in sights.items()}
-    gone = unconfirmed(births, seen, 2)
+    gone = unconfirmed(keyframe_ids, seen, 2)
     # Old ones passed, the newest's have not had their chance; a keyframe does not confirm its own.
     assert gone.tolist() == [False, False, True, True, False, True, False, False, False]
-    assert not unconfirmed(births, seen, 0).any()
+    assert not unconfirmed(keyframe_ids, seen, 0).any()

@@ -36,7 +36,7 @@ def test_iterations_fit_the_map_to_its_keyframe(device: str, frame: Frame) -> No
     mapper.insert(frame, frame.T_wc)
     before = psnr(mapper, frame)
 
-    losses = [(mapper.iterate(), mapper.settle())[1] for _ in range(60)]
+    losses = [(mapper.iterate(), mapper.synchronise())[1] for _ in range(60)]
 
     assert mapper.keyframe_indices == [0]
     assert np.mean(losses[-10:]) < 0.6 * losses[0]
@@ -48,12 +48,12 @@ def test_the_loss_of_several_iterations_is_their_mean(device: str, frame: Frame)
     assert frame.T_wc is not None
     for mapper in (one, all_at_once):
         mapper.insert(frame, frame.T_wc)
-        assert np.isnan(mapper.settle())
-    losses = [(one.iterate(), one.settle())[1] for _ in range(7)]
+        assert np.isnan(mapper.synchronise())
+    losses = [(one.iterate(), one.synchronise())[1] for _ in range(7)]
     for _ in range(7):
         all_at_once.iterate()
-    assert all_at_once.settle() == pytest.approx(np.mean(losses), rel=1e-12)
-    assert np.isnan(all_at_once.settle())
+    assert all_at_once.synchronise() == pytest.approx(np.mean(losses), rel=1e-12)
+    assert np.isnan(all_at_once.synchronise())
 
 
 def test_rendered_objects_are_the_masks_own_ids(device: str, frame: Frame) -> None:
@@ -107,12 +107,12 @@ def test_gaussians_that_stay_hidden_are_pruned(idle: int, device: str, frame: Fr
     behind = {name: rows[::50] for name, rows in mapper.map.to_host().items()}
     behind["means"] = eye + 2.0 * (behind["means"] - eye)
     behind["opacity_logits"] = np.full(len(behind["means"]), -3.0, np.float32)
-    behind["births"] = np.full(len(behind["means"]), 7, np.int32)
+    behind["keyframe_ids"] = np.full(len(behind["means"]), 7, np.int32)
     mapper.map.append(GaussianBatch(**behind))
     for _ in range(25):
         mapper.iterate()
-    mapper.settle()
-    left = np.count_nonzero(mapper.map.fields["births"].numpy()[: mapper.map.count] == 7)
+    mapper.synchronise()
+    left = np.count_nonzero(mapper.map.fields["keyframe_ids"].numpy()[: mapper.map.count] == 7)
     if idle:
         assert left < 0.5 * len(behind["means"])
         assert mapper.map.count > 0.9 * count, "what is seen stays"
@@ -177,7 +177,7 @@ def test_recorded_iterations_are_the_direct_ones_to_the_bit(
             for _ in range(11):
                 mapper.iterate()
         direct, recorded = mappers
-        assert direct.settle() == recorded.settle()
+        assert direct.synchronise() == recorded.synchronise()
         expected, got = direct.map.to_host(), recorded.map.to_host()
         for name in expected:
             np.testing.assert_array_equal(got[name], expected[name], err_msg=name)
@@ -185,7 +185,7 @@ def test_recorded_iterations_are_the_direct_ones_to_the_bit(
         capacities.add(direct.map.capacity)
     assert len(capacities) > 1, "grown"
     assert mappers[0].map.version > len(frames), "pruned"
-    assert any(mappers[1]._fitter._graphs._graphs.values()), "recorded"
+    assert any(mappers[1]._optimiser._graphs._graphs.values()), "recorded"
 
 
 def test_monocular_keyframes_get_their_depth_from_the_map_and_the_motion(device: str) -> None:
@@ -211,8 +211,8 @@ def test_monocular_keyframes_get_their_depth_from_the_map_and_the_motion(device:
     true = office[7].depth
     assert true is not None
     assert np.median(np.abs(z / true[rows, columns] - 1.0)) < 0.08
-    assert not any(keyframe.has_depth for keyframe in mapper._fitter.keyframes)
-    assert np.isfinite((mapper.iterate(), mapper.settle())[1])
+    assert not any(keyframe.has_depth for keyframe in mapper._optimiser.keyframes)
+    assert np.isfinite((mapper.iterate(), mapper.synchronise())[1])
 
 
 def test_a_full_window_drops_what_it_does_not_confirm(device: str) -> None:
@@ -225,9 +225,9 @@ def test_a_full_window_drops_what_it_does_not_confirm(device: str) -> None:
             frame = OFFICE[index]
             assert frame.T_wc is not None
             mapper.insert(frame, frame.T_wc)
-            births = mapper.map.fields["births"].numpy()[: mapper.map.count]
-            counts[name, number] = np.bincount(births, minlength=4)[:4].tolist()
-            assert set(births) <= set(range(number + 1))
+            keyframe_ids = mapper.map.fields["keyframe_ids"].numpy()[: mapper.map.count]
+            counts[name, number] = np.bincount(keyframe_ids, minlength=4)[:4].tolist()
+            assert set(keyframe_ids) <= set(range(number + 1))
     assert counts["kept", 1] == counts["dropped", 1], "not before the window is full"
     assert sum(counts["dropped", 3]) < sum(counts["kept", 3])
     assert counts["dropped", 3][3] > 500, "the newest have not had their chance"
@@ -240,7 +240,7 @@ def test_the_isotropic_term_keeps_gaussians_round(device: str, frame: Frame) -> 
         mapper.insert(frame, frame.T_wc)
         for _ in range(40):
             mapper.iterate()
-        mapper.settle()
+        mapper.synchronise()
         log_scales = mapper.map.to_host()["log_scales"]
         return float(np.median(np.ptp(log_scales, axis=1)))
 

@@ -6,7 +6,7 @@ from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from ggwarp.geometry.se3 import quats_from_matrices
 from ggwarp.map.gaussians import SH_C0
-from ggwarp.objects.mask_supervision import Lesson
+from ggwarp.objects.mask_supervision import LabelTargets
 from ggwarp.pipeline.mapping.seeding import (
     SeedingConfig,
     choose_pixels,
@@ -129,7 +129,7 @@ def test_identities_start_from_their_object_s_code(rng: np.random.Generator) -> 
         density,
         CONFIG,
         codes=codes,
-        lesson=Lesson(classes, classes, classes),
+        lesson=LabelTargets(classes, classes, classes),
         rng=rng,
     )
     rows, cols = choose_pixels(density, seen.index)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
 
-from ggwarp.map.covisibility import Sight
+from ggwarp.map.covisibility import Visibility
 from ggwarp.pipeline.tracking.keyframe_policy import CovisibilityConfig, CovisibilityKeyframes, KeyframeKind
 from ggwarp.types import Float64, TrackResult, Verdict
 
@@ -14,10 +14,10 @@ def at(x: float) -> Float64:
     return T
 
 
-def look(T_wc: Float64) -> Sight:
+def look(T_wc: Float64) -> Visibility:
     """A corridor of 100 Gaussians to the metre, of which one metre is in view, one metre away."""
     centres = (np.arange(1000) + 0.5) / 100.0
-    return Sight(np.abs(centres - 5.0 - T_wc[0, 3]) < 0.5, 1.0)
+    return Visibility(np.abs(centres - 5.0 - T_wc[0, 3]) < 0.5, 1.0)
 
 
 def result(x: float, verdict: Verdict = Verdict.CONVERGED, points: bool = True) -> TrackResult:
@@ -40,8 +40,8 @@ def test_a_keyframe_waits_for_its_interval() -> None:
 
 def test_far_is_enough_and_near_is_not() -> None:
     class Blind:
-        def __call__(self, T_wc: Float64) -> Sight:
-            return Sight(np.ones(1, bool), 1.0)  # everything sees the same
+        def __call__(self, T_wc: Float64) -> Visibility:
+            return Visibility(np.ones(1, bool), 1.0)  # everything sees the same
 
     policy = CovisibilityKeyframes(CONFIG, Blind())
     found = [policy.decide(result(x)).value for x in (0.0, 0.0, 0.19, 0.21)]
@@ -53,6 +53,6 @@ def test_a_lost_frame_never_enters_and_one_without_depth_adds_no_points() -> Non
 
 
 def test_a_frame_that_sees_nothing_of_the_map_is_a_keyframe() -> None:
-    policy = CovisibilityKeyframes(CONFIG, lambda T: Sight(np.zeros(3, bool), float("nan")))
+    policy = CovisibilityKeyframes(CONFIG, lambda T: Visibility(np.zeros(3, bool), float("nan")))
     assert [policy.decide(result(x)).value for x in (0.0, 0.0, 0.0)] == ["tracking", "", "tracking"]
     assert policy.decide(result(0.0)) is KeyframeKind.NONE, "not before its interval"

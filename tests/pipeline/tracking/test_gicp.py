@@ -8,14 +8,14 @@ import pytest
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
-from ggwarp.pipeline.tracking.gicp import GicpTracker, TrackerConfig
+from ggwarp.pipeline.tracking.gicp import GicpConfig, GicpTracker
 from ggwarp.pipeline.tracking.given_poses import GivenPoses
 from ggwarp.pipeline.tracking.point_map import TrackableConfig, TrackableMap
 from ggwarp.pipeline.tracking.preprocess import ObservationConfig, observe
 from ggwarp.types import Frame, Verdict
 
 CAMERA = Camera(160, 120, 130.0, 130.0, 79.5, 59.5)
-CONFIG = TrackerConfig(observation=ObservationConfig(points=5000))
+CONFIG = GicpConfig(observation=ObservationConfig(points=5000))
 WALLS = (
     [0, 0, 1, 3.0],
     [1, 0, 0, 1.6],
@@ -265,6 +265,6 @@ def test_given_poses_stand_in_for_tracking(device):
 def test_every_option_is_documented():
     import inspect
 
-    for config in (TrackerConfig, ObservationConfig, TrackableConfig):
+    for config in (GicpConfig, ObservationConfig, TrackableConfig):
         source = inspect.getsource(config)
         assert source.count('"""') >= 2 * (len(fields(config)) - ("observation" in source))

@@ -49,10 +49,10 @@ def wall() -> list[Frame]:
 
 
 def test_on_a_wall_colour_holds_where_geometry_slides(device: str, wall: list[Frame]) -> None:
-    slid, held = run(CONFIG, wall, device), run(HYBRID, wall, device)
-    assert max(errors_cm(held, wall)) < 1.0 < max(errors_cm(slid, wall))
+    std, held = run(CONFIG, wall, device), run(HYBRID, wall, device)
+    assert max(errors_cm(held, wall)) < 1.0 < max(errors_cm(std, wall))
     assert held.counts["frames_lost"] == 0
-    assert held.in_turn_only, "it looks at the Gaussians"
+    assert held.sequential_only, "it looks at the Gaussians"
 
 
 def test_with_clean_depth_and_walls_around_colour_is_not_asked(device: str, office: list[Frame]) -> None:
@@ -80,7 +80,7 @@ def test_pictures_alone_track_without_depth_or_truth(device: str, office: list[F
     ]
     slam = run(PHOTOMETRIC, blind, device)
     assert max(errors_cm(slam, office)) < 2.0
-    assert slam.in_turn_only and slam.counts["tracking_keyframes"] == 0
+    assert slam.sequential_only and slam.counts["tracking_keyframes"] == 0
 
 
 def test_a_picture_of_something_else_is_lost_and_the_next_one_found(office: list[Frame]) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from ggwarp.datasets.built_in.synthetic import SyntheticOffice
 from ggwarp.evaluation.trajectory import absolute_error
 from ggwarp.geometry import se3
-from ggwarp.pipeline.tracking.initialisation import MonoStart, MonoStartConfig
+from ggwarp.pipeline.tracking.initialisation import InitialisationConfig, MonocularInitialiser
 from ggwarp.types import Frame
 
 OFFICE = SyntheticOffice(scale=0.2)
@@ -20,7 +20,7 @@ def bare(index: int) -> Frame:
 
 
 def test_a_moving_camera_begins_with_depth_and_poses_up_to_scale() -> None:
-    start = MonoStart(MonoStartConfig(), OFFICE.camera)
+    start = MonocularInitialiser(InitialisationConfig(), OFFICE.camera)
     T_first = se3.se3_exp([1.0, 2.0, 3.0, 0.1, 0.2, 0.3])
     begun, index = None, -1
     while begun is None and index < 8:
@@ -47,7 +47,7 @@ def test_a_moving_camera_begins_with_depth_and_poses_up_to_scale() -> None:
 
 
 def test_a_still_camera_waits_then_starts_over() -> None:
-    start = MonoStart(MonoStartConfig(patience=4), OFFICE.camera)
+    start = MonocularInitialiser(InitialisationConfig(patience=4), OFFICE.camera)
     still = bare(0)
     for _ in range(4):
         assert start.add(still, np.eye(4)) is None
@@ -57,7 +57,7 @@ def test_a_still_camera_waits_then_starts_over() -> None:
 
 
 def test_a_cut_starts_over_and_begins_after_it() -> None:
-    start = MonoStart(MonoStartConfig(), OFFICE.camera)
+    start = MonocularInitialiser(InitialisationConfig(), OFFICE.camera)
     assert start.add(bare(0), np.eye(4)) is None
     assert start.add(bare(60), np.eye(4)) is None
     assert start.restarts == 1

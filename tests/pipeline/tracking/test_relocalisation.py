@@ -9,10 +9,10 @@ import pytest
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
-from ggwarp.pipeline.tracking.gicp import GicpTracker, TrackerConfig
+from ggwarp.pipeline.tracking.gicp import GicpConfig, GicpTracker
 from ggwarp.pipeline.tracking.point_map import TrackableConfig, TrackableMap
 from ggwarp.pipeline.tracking.preprocess import ObservationConfig
-from ggwarp.pipeline.tracking.relocalisation import Recall, RecallConfig
+from ggwarp.pipeline.tracking.relocalisation import Relocaliser, RelocaliserConfig
 from ggwarp.types import Frame, Verdict
 
 CAMERA = Camera(160, 120, 130.0, 130.0, 79.5, 59.5)
@@ -43,7 +43,7 @@ def turned(angle, x=0.0):
 
 @pytest.fixture
 def recall():
-    recall = Recall(RecallConfig(), CAMERA)
+    recall = Relocaliser(RelocaliserConfig(), CAMERA)
     for angle in np.arange(0.0, 5.9, 0.4):
         recall.remember(seen(turned(angle)), turned(angle))
     return recall
@@ -75,7 +75,7 @@ def test_a_pose_where_nothing_was_seen_is_not_believed(recall):
 
 
 def test_brightness_tells_apart_what_depth_cannot():
-    recall = Recall(RecallConfig(), CAMERA)
+    recall = Relocaliser(RelocaliserConfig(), CAMERA)
     frame = seen(np.eye(4))
     recall.remember(frame, np.eye(4))
     assert recall.believes(recall.agreement(frame, np.eye(4)))
@@ -90,7 +90,7 @@ def test_starts_lead_to_where_the_frame_was_taken(recall):
     for angle in (0.9, 2.5, 5.0):
         T = turned(angle, 0.2)
         starts = recall.starts(seen(T), [turned(angle + 2.0)])
-        assert len(starts) <= RecallConfig().tries
+        assert len(starts) <= RelocaliserConfig().tries
         gaps = [se3.se3_log(se3.inverse(T) @ start) for start in starts]
         assert min(np.abs(gap).max() for gap in gaps) < 0.35
 
@@ -105,7 +105,7 @@ class Walk:
     """A tracker that turns on the spot."""
 
     def __init__(self):
-        self.tracker = GicpTracker(TrackerConfig(observation=ObservationConfig(points=3000)), CAMERA)
+        self.tracker = GicpTracker(GicpConfig(observation=ObservationConfig(points=3000)), CAMERA)
         self.map = TrackableMap(TrackableConfig())
         self.map.add(self.tracker.start(seen(turned(0.0)), turned(0.0)))
 
@@ -136,5 +136,5 @@ def test_recovery_is_the_same_to_the_bit():
 
 
 def test_every_option_is_documented():
-    source = inspect.getsource(RecallConfig)
-    assert source.count('"""') >= 2 * (len(fields(RecallConfig)) + 1)
+    source = inspect.getsource(RelocaliserConfig)
+    assert source.count('"""') >= 2 * (len(fields(RelocaliserConfig)) + 1)

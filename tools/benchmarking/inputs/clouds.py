@@ -14,7 +14,7 @@ import warp as wp
 from ggwarp.datasets import Dataset, DatasetError, SyntheticOffice, open_dataset
 from ggwarp.geometry.camera import Camera
 from ggwarp.kernels.registration import covariance, hash_grid
-from ggwarp.pipeline.tracking.gicp import GicpTracker, TrackerConfig
+from ggwarp.pipeline.tracking.gicp import GicpConfig, GicpTracker
 from ggwarp.pipeline.tracking.keyframe_policy import KeyframeConfig, KeyframeKind, OverlapKeyframes
 from ggwarp.pipeline.tracking.point_map import TrackableConfig, TrackableMap
 from ggwarp.pipeline.tracking.preprocess import Observation, fit_ellipses, observe
@@ -81,7 +81,7 @@ def situation(dataset: Dataset, frames: int, *, device: Any) -> Situation:
     Args:
         frames: at least 2.
     """
-    config = TrackerConfig()
+    config = GicpConfig()
     tracker = GicpTracker(config, dataset.camera, device=device)
     trackable = TrackableMap(TrackableConfig(), device=device)
     policy = OverlapKeyframes(KeyframeConfig())
