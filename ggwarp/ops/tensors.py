@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 import torch
@@ -12,6 +13,13 @@ import warp as wp
 def warp_device(tensor: torch.Tensor) -> Any:
     """Return the Warp device that ``tensor`` lies on."""
     return wp.get_device(str(tensor.device))
+
+
+def on_stream_of(tensor: torch.Tensor) -> AbstractContextManager[Any]:
+    """Order Warp's work with torch's: inside, launches go to torch's current stream."""
+    if not tensor.is_cuda:
+        return nullcontext()
+    return wp.ScopedStream(wp.stream_from_torch(torch.cuda.current_stream(tensor.device)))
 
 
 def as_vectors(tensor: torch.Tensor, name: str) -> Any:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Generalised ICP of a frame's points to a map: the kernels of one registration, in their order.
 
-Works on Warp arrays; :mod:`ggwarp.ops.gicp` is the same for torch tensors.
+Works on Warp arrays; :func:`ggwarp.ops.gicp` is the same for torch tensors.
 """
 
 from __future__ import annotations

@@ -82,7 +82,7 @@ def project(
     T_cw: Tensor,
     camera: Camera,
 ) -> ProjectedGaussians:
-    """Project Gaussians: arguments as :func:`ggwarp.ops.render.render`."""
+    """Project Gaussians: arguments as :func:`ggwarp.ops.render`."""
     points = means @ T_cw[:3, :3].T + T_cw[:3, 3]
     x, y, z = points.unbind(-1)
     means2d = torch.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], -1)
@@ -167,7 +167,7 @@ def render(
     *,
     tau: Tensor | None = None,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """The oracle of :func:`ggwarp.ops.render.render`: same arguments, same results."""
+    """The oracle of :func:`ggwarp.ops.render`: same arguments, same results."""
     if tau is not None:
         T_cw = se3_exp(tau) @ T_cw
     splats = project(means, quats, log_scales, opacity_logits, colours, identities, T_cw, camera)

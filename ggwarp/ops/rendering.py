@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 import torch
@@ -18,6 +17,7 @@ from ggwarp.kernels.raster.project import TILE, Splats, intrinsics_of, project
 from ggwarp.kernels.raster.project_adjoint import pose_levels, project_adjoint
 from ggwarp.kernels.raster.tiles import TileArrays, TileCapacityError, bin_splats, tiles_across
 from ggwarp.kernels.workspaces import allocate_slot_gradients, allocate_splats, allocate_tiles
+from ggwarp.ops.tensors import on_stream_of
 from ggwarp.runtime.streams import to_host
 
 _FIELDS: dict[str, tuple[Any, tuple[int, ...]]] = {
@@ -93,13 +93,6 @@ def _check(name: str, tensor: Tensor, shape: tuple[int, ...], device: torch.devi
         )
 
 
-def _on_stream_of(tensor: Tensor) -> AbstractContextManager[Any]:
-    """Order Warp's work with torch's."""
-    if not tensor.is_cuda:
-        return nullcontext()
-    return wp.ScopedStream(wp.stream_from_torch(torch.cuda.current_stream(tensor.device)))
-
-
 def _view(tensor: Tensor, row_type: Any = wp.float32) -> Any:
     """Return the tensor's memory as a Warp array."""
     if not tensor.numel():
@@ -158,7 +151,7 @@ class _Render(torch.autograd.Function):
         shape = (tiles_across(camera.height) * int(TILE), tiles_across(camera.width) * int(TILE))
         image = means.new_zeros((channels, *shape))
         transmittance, median_depth = means.new_ones(shape), means.new_zeros(shape)
-        with _on_stream_of(means):
+        with on_stream_of(means):
             arrays = _views(parameters)
             device = arrays[0].device
             splats = allocate_splats(count, device=device)
@@ -196,7 +189,7 @@ class _Render(torch.autograd.Function):
         count, channels = parameters[0].shape[0], image.shape[0]
         gradients = [None if t is None else torch.zeros_like(t) for t in parameters]
         d_tau = T_cw.new_zeros((1, 6)) if ctx.wants_pose else None
-        with _on_stream_of(image):
+        with on_stream_of(image):
             arrays = _views(parameters)
             device = arrays[0].device
             pairs = int(to_host(tiles.counts)[1])

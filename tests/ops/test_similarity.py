@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from skimage.metrics import structural_similarity
 
+from ggwarp.ops import ssim
 from ggwarp.ops.reference.losses import ssim_map
-from ggwarp.ops.ssim import ssim
 
 
 def pair(height, width, seed=0):
@@ -29,7 +29,7 @@ def test_training_an_image_towards_another(device):
     assert before < ssim(image, target) <= 1.0
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(height=st.integers(1, 30), width=st.integers(1, 30), seed=st.integers(0, 99))
 def test_value_and_gradient(height, width, seed):
     image, target = pair(height, width, seed)

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
+from ggwarp.ops import render
 from ggwarp.ops.reference import render as oracle
-from ggwarp.ops.render import render
 
 CAMERA = Camera(37, 21, 30.0, 32.0, 20.3, 8.2)
 FIELDS = ("means", "quats", "log_scales", "opacity_logits", "colours", "identities")
@@ -233,7 +233,7 @@ def test_faulty_gaussians_do_not_spoil_the_picture(device):
         assert tensor.grad.isfinite().all() and not tensor.grad[:5].any() and tensor.grad[5:].any()
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(n=st.integers(0, 12), width=st.integers(1, 40), height=st.integers(1, 40), seed=st.integers(0, 99))
 def test_any_size(n, width, height, seed):
     camera = Camera(width, height, 20.0, 25.0, width / 3, height / 2)

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 import torch
@@ -20,6 +19,7 @@ from ggwarp.kernels.losses.ssim import (
     ssim_forward,
 )
 from ggwarp.kernels.math import vec16
+from ggwarp.ops.tensors import on_stream_of
 
 
 def ssim(image: Tensor, target: Tensor) -> Tensor:
@@ -50,13 +50,6 @@ def ssim(image: Tensor, target: Tensor) -> Tensor:
     return _Ssim.apply(image, target)
 
 
-def _on_stream_of(tensor: Tensor) -> AbstractContextManager[Any]:
-    """Order Warp's work with torch's."""
-    if not tensor.is_cuda:
-        return nullcontext()
-    return wp.ScopedStream(wp.stream_from_torch(torch.cuda.current_stream(tensor.device)))
-
-
 def _view(tensor: Tensor) -> Any:
     return wp.from_torch(tensor.detach(), requires_grad=False)
 
@@ -77,7 +70,7 @@ class _Ssim(torch.autograd.Function):
         image, target = image.contiguous(), target.contiguous()
         height, width = image.shape[1:]
         losses = image.new_zeros(4)
-        with _on_stream_of(image):
+        with on_stream_of(image):
             x = _view(image)
             ctx.workspace = _scratch(height, width, x.device)
             ssim_forward(x, _view(target), losses=_view(losses), workspace=ctx.workspace, device=x.device)
@@ -90,7 +83,7 @@ class _Ssim(torch.autograd.Function):
     ) -> tuple[Tensor | None, ...]:
         height, width = (extent - 2 * REACH for extent in ctx.workspace.statistics.shape)
         d_image = grad.new_empty((3, height, width))
-        with _on_stream_of(grad):
+        with on_stream_of(grad):
             view = _view(d_image)
             compare_adjoint(
                 height=height,
