@@ -8,8 +8,12 @@ import numpy as np
 import pytest
 import torch
 import warp as wp
+from hypothesis import settings
 
 wp.config.log_level = wp.LOG_WARNING
+# No test measures time: a first example may compile a kernel, and a machine may be busy.
+settings.register_profile("ggwarp", deadline=None)
+settings.load_profile("ggwarp")
 
 DEVICES = ["cpu"] + (["cuda:0"] if torch.cuda.is_available() else [])
 

@@ -33,7 +33,7 @@ def reduce_by_definition(depth: np.ndarray, width: int, height: int) -> np.ndarr
     return out
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     height=st.integers(1, 17),
     width=st.integers(1, 19),

@@ -58,7 +58,7 @@ def test_quaternions_come_with_w_last(make_tum: Maker) -> None:
 times = st.lists(st.floats(0, 2, allow_nan=False), max_size=12).map(np.array)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(stamps=times, others=times)
 def test_association_agrees_with_brute_force(stamps: np.ndarray, others: np.ndarray) -> None:
     found = nearest(stamps, others, tolerance=0.1)

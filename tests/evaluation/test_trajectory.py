@@ -43,7 +43,7 @@ def test_rmse_and_mean_are_what_they_are_called():
     assert error.median == pytest.approx(0.2) and error.maximum == pytest.approx(0.4)
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(count=st.integers(1, 12), seed=st.integers(0, 2**16), noise=st.floats(0.0, 0.5))
 def test_alignment_is_a_rotation_and_no_nearby_one_is_better(count, seed, noise):
     rng = np.random.default_rng(seed)

@@ -95,7 +95,7 @@ def test_without_objects_there_are_no_object_fields(tmp_path: Path, rng: np.rand
     assert read.object_ids is None and read.identities is None
 
 
-@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(n=st.integers(0, 40))
 def test_any_number_of_gaussians(tmp_path: Path, n: int) -> None:
     gaussians = random_gaussians(np.random.default_rng(n), n)

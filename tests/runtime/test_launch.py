@@ -46,7 +46,7 @@ def test_pieces_tile_the_range(count, threads, min_piece):
     assert len(pieces) < 25 * threads
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(count=st.integers(0, 3000), min_piece=st.integers(1, 100))
 def test_every_item_is_taken_once(count, min_piece):
     before = cpu_threads()

@@ -106,7 +106,7 @@ def test_matches_the_oracle(rng, form, classes):
     assert_matches(run(*values), reference(*values), values[1])
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(
     height=st.integers(1, 20), width=st.integers(1, 40), classes=st.integers(1, 8), seed=st.integers(0, 99)
 )

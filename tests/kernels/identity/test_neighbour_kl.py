@@ -73,7 +73,7 @@ def test_matches_the_oracle(rng, device, samples, k, classes):
     assert_matches(run(*values, device=device), reference(*values))
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(
     n=st.integers(1, 30), samples=st.integers(0, 20), k=st.integers(0, 4), classes=st.integers(1, 6),
     seed=st.integers(0, 99),

@@ -88,7 +88,7 @@ def test_matches_the_oracle(rng, device, by_rows, channels, mask_colour):
     assert (d_image[planes:] == 7.0).all()
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(height=st.integers(1, 40), width=st.integers(1, 40), seed=st.integers(0, 99))
 def test_any_size(height, width, seed):
     image, colour, depth = scene(np.random.default_rng(seed), height, width)

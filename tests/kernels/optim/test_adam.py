@@ -95,7 +95,7 @@ def test_equals_torch_adam(rng, device, decay):
     np.testing.assert_allclose(np.linalg.norm(parameters.quats.numpy(), axis=1), 1.0, atol=1e-6)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(n=st.integers(1, 600), share=st.floats(0, 1), seed=st.integers(0, 99))
 def test_only_the_visible_move(n, share, seed):
     rng = np.random.default_rng(seed)

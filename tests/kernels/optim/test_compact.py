@@ -101,7 +101,7 @@ def test_flags_without_identities_and_with_a_zero_quaternion(device):
     np.testing.assert_array_equal(flags_of(values, device), [0, 1])
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(n=st.integers(0, 3000), share=st.sampled_from([0.0, 0.1, 0.5, 1.0]), seed=st.integers(0, 99))
 def test_kept_rows_in_order(n, share, seed):
     flags = np.random.default_rng(seed).random(n) < share

@@ -391,7 +391,7 @@ def test_splats_behind_an_opaque_wall_get_nothing(device, rng):
     assert_same_direction(gradients[3], theirs[3])
 
 
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 @given(n=st.integers(1, 90), width=st.integers(1, 50), height=st.integers(1, 50), seed=st.integers(0, 2**31))
 def test_any_size_matches_the_oracle(n, width, height, seed):
     rng = np.random.default_rng(seed)

@@ -317,7 +317,7 @@ def test_thin_ellipses_keep_their_determinant(device):
     np.testing.assert_allclose(splats.slopes.numpy()[0], expected.slopes.detach().numpy()[0], rtol=1e-4)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(n=st.integers(0, 40), seed=st.integers(0, 1000))
 def test_any_size(n, seed):
     scene = make_scene(np.random.default_rng(seed), n, spread=1.5)

@@ -71,7 +71,7 @@ def assert_binned(out, rects, depths, width, height, *, by_depth=None):
 
 
 @pytest.mark.parametrize("parallel", [False, True], ids=["default", "as on CUDA"])
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     n=st.integers(0, 60),
     width=st.integers(1, 100),

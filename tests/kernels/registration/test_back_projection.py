@@ -36,7 +36,7 @@ def sample(depth, stride=1, edge=0.0, near=0.1, far=10.0, device="cpu"):
     return points.numpy()[:count], pixels.numpy()[:count]
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(h=st.integers(1, 30), w=st.integers(1, 30), stride=st.integers(1, 12), seed=st.integers(0, 999))
 def test_points_are_the_back_projected_grid(h, w, stride, seed):
     rng = np.random.default_rng(seed)

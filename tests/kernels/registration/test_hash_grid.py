@@ -87,7 +87,7 @@ def test_random_points_around_the_origin(rng, device, cell_size):
     check_k_nearest(points, queries, 8, cell_size, device)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     n=st.integers(1, 60),
     m=st.integers(1, 10),
