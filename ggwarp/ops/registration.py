@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import torch
 
 from ggwarp.ops.tensors import as_matrices, as_quats, as_vectors, warp_device
-from ggwarp.solvers.registration import Cloud, Registration, Stage, build_target, register
+from ggwarp.solvers.registration import Cloud, Registration, RegistrationStage, build_target, register
 
 
 def gicp(
@@ -53,5 +53,5 @@ def gicp(
     )
     start = torch.eye(4, dtype=torch.float64) if T_start is None else T_start.detach().double().cpu()
     cloud = Cloud(as_vectors(points, "points"), as_matrices(covariances, "covariances"))
-    stages = [Stage(radius, iterations, tolerance, robust_scale) for radius in radii]
+    stages = [RegistrationStage(radius, iterations, tolerance, robust_scale) for radius in radii]
     return register(cloud, target, start.numpy(), stages, device=device)

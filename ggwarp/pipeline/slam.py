@@ -42,7 +42,7 @@ from ggwarp.pipeline.tracking.photometric import PhotometricConfig
 from ggwarp.pipeline.tracking.point_map import TrackableConfig, TrackableMap
 from ggwarp.pipeline.tracking.tracker import Tracker, TrackerKind, make_tracker
 from ggwarp.runtime import loading
-from ggwarp.runtime.stream_scopes import OPEN_ROAD, two_lanes
+from ggwarp.runtime.streams import NO_LOCK, stream_scopes
 from ggwarp.types import Float64, Frame, Rendered, StepReport, TrackResult, Verdict
 
 KeyframePolicyKind = Literal["overlap", "covisibility"]
@@ -122,7 +122,7 @@ class Slam:
         self.device = device
         self._cameras = camera, sensor_camera
         self._scheduler = scheduler or SynchronousScheduler(config.mapper.iterations)
-        self._lanes = (OPEN_ROAD, OPEN_ROAD)
+        self._scopes = (NO_LOCK, NO_LOCK)
         self.reports: list[StepReport] = []
         self.counts = {"tracking_keyframes": 0, "mapping_keyframes": 0, "frames_lost": 0}
         self._build()
@@ -168,7 +168,7 @@ class Slam:
         """Find the next frame's pose and what it adds (the tracker's side)."""
         arrival = self._scheduler.wait_for_frame()
         started = time.perf_counter()
-        with self._lanes[0]:
+        with self._scopes[0]:
             result = self._track(frame)
         seconds = time.perf_counter() - started
         kind = self._policy.decide(result)
@@ -184,24 +184,24 @@ class Slam:
             waiting: where tracking runs concurrent: says whether the next frame waits already.
         """
         started = time.perf_counter()
-        lane = self._lanes[1]
+        scope = self._scopes[1]
         if tracked.kind is not KeyframeKind.NONE:
-            with lane:
+            with scope:
                 self._mapper.insert(_with_depth(tracked), tracked.result.T_wc, tracked.result.exposure)
         if tracked.result.verdict is not Verdict.LOST:
-            with lane:
+            with scope:
                 self._mapper.remember(tracked.frame, tracked.result.T_wc, hurried=tracked.arrival.late)
         first = len(self.keyframe_indices) == 1 and tracked.kind is not KeyframeKind.NONE
         bootstrap = self.config.mapper.bootstrap if first and self._mapper.ready else 0
         for _ in range(bootstrap):
-            with lane:
+            with scope:
                 self._mapper.iterate()
         done = 0
         while self._mapper.ready and self._scheduler.should_continue(done, waiting):
-            with lane:
+            with scope:
                 self._mapper.iterate()
             done += 1
-        with lane:
+        with scope:
             loss = self._mapper.synchronise()
             if tracked.kind is not KeyframeKind.NONE and self._mapper.fits_poses:
                 T_wc = self._mapper.keyframe_pose(-1)
@@ -226,12 +226,12 @@ class Slam:
             )
         # Two threads must not compile a kernel at once.
         loading.load(loading.imported_kernel_modules(self.device), self.device)
-        with two_lanes(self.device) as lanes:
-            self._lanes = lanes
+        with stream_scopes(self.device) as scopes:
+            self._scopes = scopes
             try:
                 yield
             finally:
-                self._lanes = (OPEN_ROAD, OPEN_ROAD)
+                self._scopes = (NO_LOCK, NO_LOCK)
 
     def skip_frame(self) -> None:
         """Let the time of a frame pass that cannot be used."""

@@ -42,7 +42,7 @@ class Cloud:
 
 
 @dataclass(frozen=True)
-class Target:
+class RegistrationTarget:
     """A map to register to.
 
     Attributes:
@@ -59,7 +59,7 @@ class Target:
 
 
 @dataclass(frozen=True)
-class Stage:
+class RegistrationStage:
     """Linearisations that share a correspondence radius.
 
     Attributes:
@@ -67,7 +67,7 @@ class Stage:
         iterations: linearisations at most.
         tolerance: converged when a step is smaller, metres and radians.
         robust_scale: Geman-McClure's, standard deviations; the default is plain least squares.
-        thinning: use every so-manyth point.
+        thinning: use every thinning-th point.
     """
 
     radius: float
@@ -99,7 +99,7 @@ class Registration:
     iterations: int
 
 
-def build_target(means: Any, quats: Any, scales: Any, *, cell_size: float, device: Any) -> Target:
+def build_target(means: Any, quats: Any, scales: Any, *, cell_size: float, device: Any) -> RegistrationTarget:
     """Sort a map's ellipses into a grid.
 
     Args:
@@ -111,11 +111,16 @@ def build_target(means: Any, quats: Any, scales: Any, *, cell_size: float, devic
     hash_grid.build_hash_grid(grid, means, cell_size=cell_size, device=device)
     covariances = _empty(n, wp.mat33, device)
     covariance.build_covariances(quats, scales, order=grid.indices, covariances=covariances, device=device)
-    return Target(grid, covariances)
+    return RegistrationTarget(grid, covariances)
 
 
 def register(
-    cloud: Cloud, target: Target, T_start: Float64, stages: list[Stage], *, device: Any
+    cloud: Cloud,
+    target: RegistrationTarget,
+    T_start: Float64,
+    stages: list[RegistrationStage],
+    *,
+    device: Any,
 ) -> Registration:
     """Find the pose that lays ``cloud`` on ``target``; see :class:`Registrar`."""
     return Registrar(device=device, recorded=False).register(cloud, target, T_start, stages)
@@ -142,7 +147,9 @@ class Registrar:
         self._graphs = GraphCache(self._device)
         self._room = (0, 0)
 
-    def register(self, cloud: Cloud, target: Target, T_start: Float64, stages: list[Stage]) -> Registration:
+    def register(
+        self, cloud: Cloud, target: RegistrationTarget, T_start: Float64, stages: list[RegistrationStage]
+    ) -> Registration:
         """Find the pose that lays ``cloud`` on ``target``.
 
         Args:
@@ -189,7 +196,9 @@ class Registrar:
             folded=zeros((gicp.FOLDED, gicp.SUMS), wp.float64),
         )
 
-    def _load(self, cloud: Cloud, target: Target, T_start: Float64, stages: list[Stage]) -> None:
+    def _load(
+        self, cloud: Cloud, target: RegistrationTarget, T_start: Float64, stages: list[RegistrationStage]
+    ) -> None:
         problem: Any = gicp.Problem()
         problem.points, problem.covariances = cloud.points, cloud.covariances
         problem.grid, problem.grid_covariances = target.grid, target.covariances
@@ -226,7 +235,9 @@ def unpack_information(system: Float64) -> Float64:
     return H + np.triu(H, 1).T
 
 
-def match_distances2(cloud: Cloud, target: Target, T_wc: Float64, *, radius: float, device: Any) -> Any:
+def match_distances2(
+    cloud: Cloud, target: RegistrationTarget, T_wc: Float64, *, radius: float, device: Any
+) -> Any:
     """Return [n] float32 squared distances to the nearest map point at ``T_wc``; inf beyond ``radius``."""
     pose = wp.array(np.asarray(T_wc, np.float64)[None], dtype=wp.mat44d, device=device)
     matches = _empty(cloud.count, int, device)

@@ -6,9 +6,16 @@ import pytest
 import warp as wp
 
 from ggwarp.geometry import se3
-from ggwarp.solvers.registration import Cloud, Registrar, Stage, Target, build_target, register
+from ggwarp.solvers.registration import (
+    Cloud,
+    Registrar,
+    RegistrationStage,
+    RegistrationTarget,
+    build_target,
+    register,
+)
 
-STAGES = [Stage(0.3, 6, 1e-3, 30.0, thinning=3), Stage(0.08, 15, 1e-6, 3.0)]
+STAGES = [RegistrationStage(0.3, 6, 1e-3, 30.0, thinning=3), RegistrationStage(0.08, 15, 1e-6, 3.0)]
 
 
 def walls(rng, n):
@@ -21,7 +28,7 @@ def walls(rng, n):
     return points, quats[wall]
 
 
-def target(rng, n, device) -> Target:
+def target(rng, n, device) -> RegistrationTarget:
     points, quats = walls(rng, n)
     return build_target(
         wp.array(points, dtype=wp.vec3, device=device),

@@ -92,7 +92,7 @@ class Problem:
 
 @wp.struct
 class StageSettings:
-    """See :class:`ggwarp.solvers.registration.Stage`."""
+    """See :class:`ggwarp.solvers.registration.RegistrationStage`."""
 
     radius: float
     iterations: int

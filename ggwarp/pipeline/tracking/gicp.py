@@ -10,17 +10,24 @@ import numpy as np
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
-from ggwarp.pipeline.tracking.motion_model import Motion, depth_time, position_std
+from ggwarp.pipeline.tracking.motion_model import MotionModel, depth_time, position_std
 from ggwarp.pipeline.tracking.preprocess import Observation, ObservationConfig, observe
 from ggwarp.pipeline.tracking.relocalisation import Relocaliser, RelocaliserConfig, ViewConsistency
 from ggwarp.runtime.streams import to_host
-from ggwarp.solvers.registration import Registrar, Registration, Stage, Target, build_target, match_distances2
+from ggwarp.solvers.registration import (
+    Registrar,
+    Registration,
+    RegistrationStage,
+    RegistrationTarget,
+    build_target,
+    match_distances2,
+)
 from ggwarp.types import Float32, Float64, Frame, MapSnapshot, TrackResult, Verdict
 
 
 @dataclass(frozen=True)
 class GicpConfig:
-    """How a frame is registered, and when its pose is believed."""
+    """How a frame is registered, and when its pose is accepted."""
 
     observation: ObservationConfig = field(default_factory=ObservationConfig)
     radii: tuple[float, ...] = (0.3, 0.1, 0.03)
@@ -68,7 +75,7 @@ class GicpTracker:
     looks at colour only to find and check the pose of a frame that registers badly.
 
     Attributes:
-        registration: of the last frame, whether it was believed or not; None where there was none.
+        registration: of the last frame, whether it was accepted or not; None where there was none.
     """
 
     def __init__(self, config: GicpConfig, sensor_camera: Camera, *, device: Any = "cpu") -> None:
@@ -77,11 +84,11 @@ class GicpTracker:
         self._camera = sensor_camera
         self._device = device
         self._registrar = Registrar(device=device)
-        self._recall = Relocaliser(config.recall, sensor_camera)
-        self._target: Target | None = None
+        self._relocaliser = Relocaliser(config.recall, sensor_camera)
+        self._target: RegistrationTarget | None = None
         self._target_version: int | None = None
-        self._motion: Motion | None = None
-        self._before: Motion | None = None
+        self._motion: MotionModel | None = None
+        self._before: MotionModel | None = None
         self.registration: Registration | None = None
 
     def start(self, frame: Frame, T_wc: Float64) -> TrackResult:
@@ -90,10 +97,10 @@ class GicpTracker:
         A frame with too few points is lost: start again with the next one.
         """
         seen = self._observe(frame)
-        self._motion = Motion.at_rest(T_wc, depth_time(frame))
+        self._motion = MotionModel.at_rest(T_wc, depth_time(frame))
         if seen.count < self._config.min_points:
             return _result(self._motion.T_wc, np.eye(4), Verdict.LOST, seen, self._too_few(seen))
-        self._recall.remember(frame, self._motion.T_wc)
+        self._relocaliser.remember(frame, self._motion.T_wc)
         return _result(self._motion.T_wc, np.eye(4), Verdict.CONVERGED, seen)
 
     def track(self, frame: Frame, target: MapSnapshot) -> TrackResult:
@@ -106,7 +113,7 @@ class GicpTracker:
             raise RuntimeError("track() before start(): the first frame's pose must be given")
         seen = self._observe(frame)
         self._before, self.registration = self._motion, None
-        predicted = self._motion.predicted(depth_time(frame))
+        predicted = self._motion.predict(depth_time(frame))
         if seen.count < self._config.min_points:
             return self._lose(frame, predicted, self._too_few(seen), seen)
         self._aim(target, seen.spacing)
@@ -116,8 +123,8 @@ class GicpTracker:
         verdict, reason = self._judge(found, predicted)
         if verdict is Verdict.LOST:
             return self._lose(frame, predicted, reason, seen, fit, distances2)
-        self._motion = self._motion.moved(fit.T_wc, depth_time(frame))
-        self._recall.remember(frame, fit.T_wc)
+        self._motion = self._motion.updated(fit.T_wc, depth_time(frame))
+        self._relocaliser.remember(frame, fit.T_wc)
         return _result(fit.T_wc, self._motion.to_colour(frame), verdict, seen, reason, fit, distances2)
 
     def _too_few(self, seen: Observation) -> str:
@@ -127,14 +134,14 @@ class GicpTracker:
         """Take the pose [4, 4] as given; say only how the frame's points lie to the map there."""
         seen = self._observe(frame)
         self._aim(target, seen.spacing)
-        self._motion = Motion.at_rest(T_wc, depth_time(frame))
+        self._motion = MotionModel.at_rest(T_wc, depth_time(frame))
         return _result(T_wc, np.eye(4), Verdict.CONVERGED, seen, distances2=self._distances2(seen, T_wc))
 
     def correct(self, frame: Frame, T_wc: Float64) -> None:
         """Take ``T_wc`` [4, 4] as the pose of the last frame's colour: somebody knows better."""
         assert self._motion is not None and self._before is not None
         T_wd = T_wc @ se3.inverse(self._motion.to_colour(frame))
-        self._motion = self._before.moved(T_wd, depth_time(frame))
+        self._motion = self._before.updated(T_wd, depth_time(frame))
 
     def on_pose_corrected(self, T_wc: Float64) -> None:
         """The points that poses rest on stay where they are, whatever becomes of a keyframe's pose."""
@@ -160,42 +167,46 @@ class GicpTracker:
             )
             self._target_version = target.version
 
-    def _stages(self, spacing: float) -> list[Stage]:
+    def _stages(self, spacing: float) -> list[RegistrationStage]:
         c = self._config
         *coarse, fine = [max(radius, c.reach * spacing) for radius in c.radii]
         *coarse_iterations, fine_iterations = c.iterations
         stages = [
-            Stage(radius, n, c.coarse_tolerance, c.robust_scale * radius / fine, c.coarse_thinning)
+            RegistrationStage(
+                radius, n, c.coarse_tolerance, c.robust_scale * radius / fine, c.coarse_thinning
+            )
             for radius, n in zip(coarse, coarse_iterations, strict=True)
         ]
-        return [*stages, Stage(fine, fine_iterations, c.tolerance, c.robust_scale)]
+        return [*stages, RegistrationStage(fine, fine_iterations, c.tolerance, c.robust_scale)]
 
-    def _search(self, frame: Frame, seen: Observation, predicted: Float64) -> _Found:
+    def _search(self, frame: Frame, seen: Observation, predicted: Float64) -> _RegisteredPose:
         """Register from the prediction; where that fits badly, from wherever the camera may have been."""
         assert self._motion is not None
         first = self._fit(seen, predicted)
         if first.overlap >= self._config.sure_overlap and not self._jump(first.fit, predicted):
             return first
-        best = self._checked(frame, first)
-        if best.believed and best.overlap >= self._config.clear_overlap:
+        best = self._verified(frame, first)
+        if best.consistent and best.overlap >= self._config.clear_overlap:
             return best
-        for T_start in self._recall.starts(frame, [self._motion.T_wc, predicted]):
-            found = self._checked(frame, self._fit(seen, T_start))
+        for T_start in self._relocaliser.candidate_poses(frame, [self._motion.T_wc, predicted]):
+            found = self._verified(frame, self._fit(seen, T_start))
             if found.rank > best.rank:
                 best = found
-            if best.believed and best.overlap >= self._config.clear_overlap:
+            if best.consistent and best.overlap >= self._config.clear_overlap:
                 break
         return best
 
-    def _checked(self, frame: Frame, found: _Found) -> _Found:
-        agreement = self._recall.agreement(frame, found.fit.T_wc)
-        return replace(found, agreement=agreement, believed=self._recall.believes(agreement))
+    def _verified(self, frame: Frame, found: _RegisteredPose) -> _RegisteredPose:
+        consistency = self._relocaliser.verify(frame, found.fit.T_wc)
+        return replace(
+            found, consistency=consistency, consistent=self._relocaliser.is_consistent(consistency)
+        )
 
-    def _fit(self, seen: Observation, T_start: Float64) -> _Found:
+    def _fit(self, seen: Observation, T_start: Float64) -> _RegisteredPose:
         assert self._target is not None
         fit = self._registrar.register(seen.cloud, self._target, T_start, self._stages(seen.spacing))
         distances2 = self._distances2(seen, fit.T_wc)
-        return _Found(fit, distances2, _overlap(distances2))
+        return _RegisteredPose(fit, distances2, _overlap(distances2))
 
     def _distances2(self, seen: Observation, T_wc: Float64) -> Float32:
         """Return [n] squared distance of each point to the map, m^2; inf where nothing is near."""
@@ -203,23 +214,23 @@ class GicpTracker:
         reach = max(self._config.overlap_distance, self._config.reach * seen.spacing)
         return match_distances2(seen.cloud, self._target, T_wc, radius=reach, device=self._device)
 
-    def _judge(self, found: _Found, predicted: Float64) -> tuple[Verdict, str]:
+    def _judge(self, found: _RegisteredPose, predicted: Float64) -> tuple[Verdict, str]:
         config, fit, overlap = self._config, found.fit, found.overlap
         std, jump_reason = position_std(fit.information), self._jump(fit, predicted)
         overlap_reason = f"overlap {overlap:.2f} with the map"
-        slide_reason = f"position free to slide by {std:.3f} m"
+        std_reason = f"position free to slide by {std:.3f} m"
         if overlap < config.lost_overlap:
             return Verdict.LOST, overlap_reason
         if not np.isfinite(std):
             return Verdict.LOST, "the geometry does not fix the pose"
-        if found.agreement is not None and not found.believed:
-            return Verdict.LOST, f"{overlap_reason}, {found.agreement} with earlier views"
+        if found.consistency is not None and not found.consistent:
+            return Verdict.LOST, f"{overlap_reason}, {found.consistency} with earlier views"
         # One weakness alone can be the scene's; two together are a wrong pose.
-        slides = std > config.max_position_std * (3.0 if found.believed else 1.0)
-        if slides and overlap < config.poor_overlap:
-            return Verdict.LOST, f"{slide_reason}, {overlap_reason}"
+        uncertain = std > config.max_position_std * (3.0 if found.consistent else 1.0)
+        if uncertain and overlap < config.poor_overlap:
+            return Verdict.LOST, f"{std_reason}, {overlap_reason}"
         if std > config.max_position_std:
-            return Verdict.POOR, slide_reason
+            return Verdict.POOR, std_reason
         if overlap < config.poor_overlap:
             return Verdict.POOR, overlap_reason
         return (Verdict.POOR, jump_reason) if jump_reason else (Verdict.CONVERGED, "")
@@ -250,19 +261,19 @@ class GicpTracker:
 
 
 @dataclass(frozen=True)
-class _Found:
+class _RegisteredPose:
     """A registration, its points' squared distances [n] to the map, and what remembered views say of it."""
 
     fit: Registration
     distances2: Float32
     overlap: float
-    agreement: ViewConsistency | None = None
-    believed: bool = False
+    consistency: ViewConsistency | None = None
+    consistent: bool = False
 
     @property
     def rank(self) -> tuple[bool, float]:
         """The larger, the better."""
-        return self.believed, self.overlap * (1.0 if self.agreement is None else self.agreement.score)
+        return self.consistent, self.overlap * (1.0 if self.consistency is None else self.consistency.score)
 
 
 def _overlap(distances2: Float32) -> float:

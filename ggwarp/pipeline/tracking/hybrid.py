@@ -36,7 +36,7 @@ class HybridConfig:
     max_position_std: float = 2e-4
     """Colour is asked where the position is more uncertain along some direction, metres."""
     min_noise: float = 0.05
-    """Least noise to believe in, as a share of the tracker's noise model."""
+    """Least noise that is assumed, as a share of the tracker's noise model."""
 
 
 class HybridTracker:
@@ -59,7 +59,7 @@ class HybridTracker:
     ) -> None:
         """Make a tracker of frames with colour by ``renderer``'s camera and depth by ``sensor_camera``."""
         self._config = config
-        self._observation, self._tracker_slide = gicp.observation, gicp.max_position_std
+        self._observation, self._gicp_max_std = gicp.observation, gicp.max_position_std
         self._gicp = GicpTracker(gicp, sensor_camera, device=device)
         self._refiner = Refiner(config.refinement, renderer, device=device)
 
@@ -100,9 +100,9 @@ class HybridTracker:
         """The points that poses rest on stay where they are, whatever becomes of a keyframe's pose."""
 
     def _weak(self) -> bool:
-        """Whether geometry alone would have let the position slide."""
+        """Whether geometry alone leaves the position uncertain."""
         fit = self._gicp.registration
-        return fit is None or position_std(fit.information) > self._tracker_slide
+        return fit is None or position_std(fit.information) > self._gicp_max_std
 
     def _prior(self, frame: Frame, result: TrackResult) -> Prior | None:
         """Return what the last registration says of the colour's pose; None where there was none."""

@@ -12,7 +12,7 @@ from ggwarp.types import Float64, Frame
 
 
 @dataclass
-class Motion:
+class MotionModel:
     """The last good pose and the velocity there.
 
     Attributes:
@@ -27,11 +27,11 @@ class Motion:
     lost: int = 0
 
     @classmethod
-    def at_rest(cls, T_wc: Float64, time: float) -> Motion:
+    def at_rest(cls, T_wc: Float64, time: float) -> MotionModel:
         """Return no motion at all."""
         return cls(np.array(T_wc, np.float64), time, np.zeros(6))
 
-    def predicted(self, time: float) -> Float64:
+    def predict(self, time: float) -> Float64:
         """Return the pose at ``time`` by constant velocity; that is trusted for one lost frame only."""
         if self.lost > 1:
             return self.T_wc
@@ -41,11 +41,11 @@ class Motion:
         """Return the motion [4, 4] from the camera of the frame's depth to that of its colour."""
         return se3.se3_exp(self.velocity * (frame.timestamp - depth_time(frame)))
 
-    def moved(self, T_wc: Float64, time: float) -> Motion:
+    def updated(self, T_wc: Float64, time: float) -> MotionModel:
         """Return the motion after a good frame at ``T_wc``."""
         dt = time - self.time
         velocity = se3.se3_log(se3.inverse(self.T_wc) @ T_wc) / dt if dt > 0.0 else np.zeros(6)
-        return Motion(T_wc, time, velocity)
+        return MotionModel(T_wc, time, velocity)
 
 
 def depth_time(frame: Frame) -> float:

@@ -10,14 +10,14 @@ import numpy as np
 
 from ggwarp.geometry import se3
 from ggwarp.map.renderer import Renderer
-from ggwarp.pipeline.tracking.motion_model import Motion
+from ggwarp.pipeline.tracking.motion_model import MotionModel
 from ggwarp.pipeline.tracking.pose_refinement import Refined, RefinementConfig, Refiner
 from ggwarp.types import Float64, Frame, MapSnapshot, TrackResult, Verdict
 
 
 @dataclass(frozen=True)
 class PhotometricConfig:
-    """How a frame is tracked by its colours, and when its pose is believed."""
+    """How a frame is tracked by its colours, and when its pose is accepted."""
 
     refinement: RefinementConfig = field(default_factory=lambda: RefinementConfig(renders=3))
     sure_cost: float = 2.5
@@ -40,11 +40,11 @@ class PhotometricTracker:
         """Make a tracker of frames whose pictures ``renderer``'s camera took."""
         self._config = config
         self._refiner = Refiner(config.refinement, renderer, device=device)
-        self._motion: Motion | None = None
+        self._motion: MotionModel | None = None
 
     def start(self, frame: Frame, T_wc: Float64) -> TrackResult:
         """Take the first frame, whose pose [4, 4] is given."""
-        self._motion = Motion.at_rest(T_wc, frame.timestamp)
+        self._motion = MotionModel.at_rest(T_wc, frame.timestamp)
         return TrackResult(self._motion.T_wc, Verdict.CONVERGED)
 
     def track(self, frame: Frame, target: MapSnapshot) -> TrackResult:
@@ -58,7 +58,7 @@ class PhotometricTracker:
         """
         if self._motion is None:
             raise RuntimeError("track() before start(): the first frame's pose must be given")
-        predicted = self._motion.predicted(frame.timestamp)
+        predicted = self._motion.predict(frame.timestamp)
         found = self._refiner.refine(frame, predicted, with_depth=True)
         if found.cost > self._config.sure_cost or found.objection:
             found = min(found, self._refiner.refine(frame, self._motion.T_wc, with_depth=True), key=_rank)
@@ -66,7 +66,7 @@ class PhotometricTracker:
             self._motion.lost += 1
             return TrackResult(predicted, Verdict.LOST, found.objection, found.share)
         reason = self._doubt(found, predicted)
-        self._motion = self._motion.moved(found.T_wc, frame.timestamp)
+        self._motion = self._motion.updated(found.T_wc, frame.timestamp)
         return TrackResult(
             found.T_wc,
             Verdict.POOR if reason else Verdict.CONVERGED,

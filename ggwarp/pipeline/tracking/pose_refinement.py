@@ -18,7 +18,7 @@ from ggwarp.types import Exposure, Float64, Frame
 
 @dataclass(frozen=True)
 class RefinementConfig:
-    """How a pose is refined by colour, and when the result is believed."""
+    """How a pose is refined by colour, and when the result is accepted."""
 
     method: Literal["alignment", "descent"] = "alignment"
     """alignment: Gauss-Newton on the picture against a render, which is then taken anew; descent: Adam
@@ -47,7 +47,7 @@ class Refined:
         share: of the pixels that could be compared.
         cost: mean robust cost of a pixel.
         renders, iterations: spent.
-        objection: why not to believe it, one clause; empty: nothing.
+        objection: why it is not accepted, one clause; empty: nothing.
     """
 
     T_wc: Float64
@@ -64,7 +64,7 @@ class Refined:
 
 
 @dataclass(frozen=True)
-class _Found:
+class _Search:
     T_cw: Float64
     exposure: tuple[float, float]
     system: System
@@ -96,7 +96,7 @@ class Refiner:
         search = self._align if self._config.method == "alignment" else self._descend
         return self._judged(search(frame, se3.inverse(T_wc), prior), prior)
 
-    def _align(self, frame: Frame, T_cw: Float64, prior: Prior | None) -> _Found:
+    def _align(self, frame: Frame, T_cw: Float64, prior: Prior | None) -> _Search:
         exposure, renders, iterations = self._exposure, 0, 0
         while True:
             self._render(T_cw)
@@ -105,12 +105,12 @@ class Refiner:
             T_cw, exposure = found.T_cw, found.exposure
             renders, iterations = renders + 1, iterations + found.iterations
             if renders >= self._config.renders or moved < self._config.tolerance:
-                return _Found(T_cw, exposure, found.system, renders, iterations)
+                return _Search(T_cw, exposure, found.system, renders, iterations)
 
-    def _descend(self, frame: Frame, T_cw: Float64, prior: Prior | None) -> _Found:
+    def _descend(self, frame: Frame, T_cw: Float64, prior: Prior | None) -> _Search:
         T_cw, exposure, renders = self._descent.run(frame, T_cw, self._exposure)
         self._render(T_cw)
-        return _Found(
+        return _Search(
             T_cw, exposure, self._aligner.linearise(0, T_cw, exposure), renders + 1, iterations=renders
         )
 
@@ -118,7 +118,7 @@ class Refiner:
         self._renderer.render(se3.inverse(T_cw))
         self._aligner.take_render(self._renderer.image, self._renderer.transmittance, T_cw)
 
-    def _judged(self, found: _Found, prior: Prior | None) -> Refined:
+    def _judged(self, found: _Search, prior: Prior | None) -> Refined:
         c, system, camera = self._config, found.system, self._renderer.camera
         share = system.pixels / (camera.width * camera.height)
         information = c.alignment.independence * system.H[:6, :6]

@@ -106,7 +106,7 @@ class Relocaliser:
         self._poses = np.concatenate([self._poses, T_wc[None]])
         self._signatures = np.concatenate([self._signatures.reshape(-1, len(signature)), signature[None]])
 
-    def starts(self, frame: Frame, bases: list[Float64]) -> list[Float64]:
+    def candidate_poses(self, frame: Frame, bases: list[Float64]) -> list[Float64]:
         """Return poses [4, 4] to register ``frame`` from, the likeliest first.
 
         Args:
@@ -130,12 +130,12 @@ class Relocaliser:
                 break
         return best
 
-    def agreement(self, frame: Frame, T_wc: Float64) -> ViewConsistency:
-        """Return how ``frame`` from ``T_wc`` [4, 4] agrees with the nearest views."""
+    def verify(self, frame: Frame, T_wc: Float64) -> ViewConsistency:
+        """Return how ``frame`` from ``T_wc`` [4, 4] compares with the nearest views."""
         return self._compare(self._view(frame), T_wc, views=self._config.compared)
 
-    def believes(self, found: ViewConsistency) -> bool:
-        """Whether that is agreement enough to believe the pose."""
+    def is_consistent(self, found: ViewConsistency) -> bool:
+        """Whether a view that compares so with the nearest ones may be true."""
         c = self._config
         return (
             found.shared >= c.min_shared

@@ -42,63 +42,63 @@ def turned(angle, x=0.0):
 
 
 @pytest.fixture
-def recall():
-    recall = Relocaliser(RelocaliserConfig(), CAMERA)
+def relocaliser():
+    relocaliser = Relocaliser(RelocaliserConfig(), CAMERA)
     for angle in np.arange(0.0, 5.9, 0.4):
-        recall.remember(seen(turned(angle)), turned(angle))
-    return recall
+        relocaliser.remember(seen(turned(angle)), turned(angle))
+    return relocaliser
 
 
-def test_views_are_kept_apart(recall):
-    assert len(recall) == 15
-    recall.remember(seen(turned(0.1)), turned(0.1))
-    assert len(recall) == 15
-    recall.remember(seen(turned(0.0, 0.4)), turned(0.0, 0.4))
-    assert len(recall) == 16
+def test_views_are_kept_apart(relocaliser):
+    assert len(relocaliser) == 15
+    relocaliser.remember(seen(turned(0.1)), turned(0.1))
+    assert len(relocaliser) == 15
+    relocaliser.remember(seen(turned(0.0, 0.4)), turned(0.0, 0.4))
+    assert len(relocaliser) == 16
 
 
-def test_true_poses_are_believed_and_wrong_ones_are_not(recall):
+def test_true_poses_are_consistent_and_wrong_ones_are_not(relocaliser):
     for angle in (0.25, 1.0, 2.7, 4.1):
         T = turned(angle, 0.15)
         frame = seen(T)
-        found = recall.agreement(frame, T)
-        assert recall.believes(found) and found.shared > 0.6
+        found = relocaliser.verify(frame, T)
+        assert relocaliser.is_consistent(found) and found.shared > 0.6
         assert found.through < 0.05 and found.correlation > 0.9
         for wrong in (turned(angle + 0.7), turned(angle + np.pi), T @ se3.se3_exp([0, 0, -1.0, 0, 0, 0])):
-            assert not recall.believes(recall.agreement(frame, wrong))
+            assert not relocaliser.is_consistent(relocaliser.verify(frame, wrong))
 
 
-def test_a_pose_where_nothing_was_seen_is_not_believed(recall):
+def test_a_pose_where_nothing_was_seen_is_not_consistent(relocaliser):
     T = se3.se3_exp([0.0, 50.0, 0.0, 0.0, 0.0, 0.0])
-    assert recall.agreement(seen(turned(0.0)), T).shared == 0.0
-    assert not recall.believes(recall.agreement(seen(turned(0.0)), T))
+    assert relocaliser.verify(seen(turned(0.0)), T).shared == 0.0
+    assert not relocaliser.is_consistent(relocaliser.verify(seen(turned(0.0)), T))
 
 
 def test_brightness_tells_apart_what_depth_cannot():
-    recall = Relocaliser(RelocaliserConfig(), CAMERA)
+    relocaliser = Relocaliser(RelocaliserConfig(), CAMERA)
     frame = seen(np.eye(4))
-    recall.remember(frame, np.eye(4))
-    assert recall.believes(recall.agreement(frame, np.eye(4)))
+    relocaliser.remember(frame, np.eye(4))
+    assert relocaliser.is_consistent(relocaliser.verify(frame, np.eye(4)))
     negative = Frame(1, 0.0, 255 - frame.rgb, frame.depth)
-    assert recall.agreement(negative, np.eye(4)).correlation < -0.99
-    assert not recall.believes(recall.agreement(negative, np.eye(4)))
+    assert relocaliser.verify(negative, np.eye(4)).correlation < -0.99
+    assert not relocaliser.is_consistent(relocaliser.verify(negative, np.eye(4)))
     without = Frame(1, 0.0, np.zeros((1, 1, 3), np.uint8), frame.depth)
-    assert recall.believes(recall.agreement(without, np.eye(4)))
+    assert relocaliser.is_consistent(relocaliser.verify(without, np.eye(4)))
 
 
-def test_starts_lead_to_where_the_frame_was_taken(recall):
+def test_candidate_poses_lead_to_where_the_frame_was_taken(relocaliser):
     for angle in (0.9, 2.5, 5.0):
         T = turned(angle, 0.2)
-        starts = recall.starts(seen(T), [turned(angle + 2.0)])
-        assert len(starts) <= RelocaliserConfig().tries
-        gaps = [se3.se3_log(se3.inverse(T) @ start) for start in starts]
+        poses = relocaliser.candidate_poses(seen(T), [turned(angle + 2.0)])
+        assert len(poses) <= RelocaliserConfig().tries
+        gaps = [se3.se3_log(se3.inverse(T) @ pose) for pose in poses]
         assert min(np.abs(gap).max() for gap in gaps) < 0.35
 
 
-def test_a_frame_without_readings_is_nowhere(recall):
+def test_a_frame_without_readings_is_nowhere(relocaliser):
     empty = Frame(0, 0.0, np.zeros((120, 160, 3), np.uint8), np.zeros((120, 160), np.float32))
-    assert recall.agreement(empty, np.eye(4)).shared == 0.0
-    assert len(recall.starts(empty, [np.eye(4)])) > 0
+    assert relocaliser.verify(empty, np.eye(4)).shared == 0.0
+    assert len(relocaliser.candidate_poses(empty, [np.eye(4)])) > 0
 
 
 class Walk:

@@ -18,7 +18,7 @@ from ggwarp.pipeline.tracking.gicp import GicpConfig, GicpTracker
 from ggwarp.pipeline.tracking.keyframe_policy import KeyframeConfig, KeyframeKind, OverlapKeyframes
 from ggwarp.pipeline.tracking.point_map import TrackableConfig, TrackableMap
 from ggwarp.pipeline.tracking.preprocess import Observation, fit_ellipses, observe
-from ggwarp.solvers.registration import Cloud, Registration, Stage, Target, register
+from ggwarp.solvers.registration import Cloud, Registration, RegistrationStage, RegistrationTarget, register
 from ggwarp.types import Float64, Frame, MapSnapshot
 
 NEIGHBOURS = 10
@@ -125,7 +125,9 @@ class Ours:
             own, map_s = covariances
             mat33: Any = wp.mat33
             self._cloud = Cloud(at.seen.cloud.points, wp.array(own, dtype=mat33, device=device))
-            self._target = Target(self._target.grid, wp.array(map_s[order], dtype=mat33, device=device))
+            self._target = RegistrationTarget(
+                self._target.grid, wp.array(map_s[order], dtype=mat33, device=device)
+            )
 
     def fit_ellipses(self) -> Any:
         """Return the covariance of each of the frame's points, from its 10 nearest."""
@@ -143,7 +145,7 @@ class Ours:
         covariance.build_covariances(quats, scales, covariances=out, device=device)
         return out
 
-    def index_map(self, target: MapSnapshot) -> Target:
+    def index_map(self, target: MapSnapshot) -> RegistrationTarget:
         """Return the map, ready for searches."""
         grid = hash_grid.allocate_hash_grid(target.count, device=self._device)
         hash_grid.build_hash_grid(grid, target.means, cell_size=self._cell_size, device=self._device)
@@ -152,11 +154,11 @@ class Ours:
         covariance.build_covariances(
             target.quats, target.scales, order=grid.indices, covariances=covariances, device=self._device
         )
-        return Target(grid, covariances)
+        return RegistrationTarget(grid, covariances)
 
     def register(self) -> Registration:
         """Register the frame from the previous pose: one radius, least squares."""
-        stages = [Stage(RADIUS, MOST_ITERATIONS, TOLERANCE)]
+        stages = [RegistrationStage(RADIUS, MOST_ITERATIONS, TOLERANCE)]
         return register(self._cloud, self._target, self._at.T_previous, stages, device=self._device)
 
 
