@@ -1,0 +1,154 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
+# A GPU day of ggwarp: what to run on an H100 or H200 that is had for a quarter of an hour, most valuable first.
+#
+# Each step is a process of its own with a time limit of its own: a crash, a hang or a poisoned CUDA context in
+# one does not lose the rest. All output goes to $OUT/log.txt (and what a step writes as JSON beside it); a line a
+# step is printed, the table last. Run it in the repository's root.
+#
+#   gpu_day.sh prepare          on a machine with a network, without a GPU, 8 minutes (2 after the first time); run it again
+#                               after any change of a kernel. Makes two git-ignored folders of what must travel:
+#                                 .gpu/warp/    warp.tar.xz, 59.3 MiB: Warp without its CPU compiler (pack_warp.sh)
+#                                 .gpu/extras/  extras.tar.xz, 2.4 MiB: cubins for sm_90 (ours and gswarp's: no kernel is compiled
+#                                               there), tyro typeguard docstring_parser, gswarp, gsplat's trimmed sources,
+#                                               results of the CPU to compare with
+#                               It says how large the tree is with them: where no more than 64 MiB travel at once, Warp goes first.
+#   gpu_day.sh unpack           on the GPU machine, where Warp goes first: 10 seconds
+#   gpu_day.sh checks           on the GPU machine: are the results right?   2-4 minutes
+#   gpu_day.sh bench            on the GPU machine: how fast?                2-3 minutes
+#   gpu_day.sh deep             on the GPU machine: compute-sanitizer, ncu   2-3 minutes
+#
+# A later call on the same machine finds everything unpacked. Limits that fit 15 minutes with the start:
+# checks 330 s, bench 300 s, deep 200 s. If checks shows wrong results, mend first, do not bench.
+#
+# CPU kernels cannot run there (no warp-clang.so): tests are chosen by their id [cuda:0], the office is rendered on
+# the GPU into files first, and references were made beforehand.
+set -uo pipefail
+what=${1:?prepare, unpack, checks, bench or deep}
+here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
+
+if [ "$what" = prepare ]; then
+    set -e
+    root=${2:-$PWD}
+    python=${PYTHON:-python3}                   # a Python with ggwarp's needs and Warp
+    cd "$root"
+    mkdir -p .gpu/warp .gpu/extras
+    [ -s .gpu/warp/warp.tar.xz ] || bash "$here/pack_warp.sh" .gpu/warp
+    work=$(mktemp -d); trap 'rm -rf "$work"' EXIT
+    # Binaries: only what loading looks at.
+    WARP_CACHE_PATH=$work/all PYTHONPATH=$root "$python" -m ggwarp.commands.precompile --arch 90 --out "$work/all"
+    mkdir -p "$work/x/site" "$work/w"
+    "$python" -m pip download -q --no-deps -d "$work/w" tyro typeguard docstring-parser gswarp==1.1.0 gsplat==1.5.3
+    for wheel in "$work"/w/*.whl; do "$python" -m zipfile -e "$wheel" "$work/x/site"; done
+    # gsplat: three channel counts instead of nineteen (20 channels are padded to 32), or it compiles for minutes.
+    for f in "$work"/x/site/gsplat/cuda/csrc/*.cu "$work"/x/site/gsplat/cuda/csrc/*.cpp; do
+        sed -i -E '/^[[:space:]]*(__INS__|__LAUNCH_KERNEL__)\(([0-9]+)\)[[:space:]]*$/{/\((3|4|32)\)/!d}' "$f"
+    done
+    rm -rf "$work"/x/site/gsplat/cuda/csrc/third_party/glm/{doc,test,util,.github}
+    PYTHONPATH="$work/x/site:$root" WARP_CACHE_PATH=$work/all "$python" - <<'PY'
+import warp as wp
+wp.config.cuda_output = "cubin"
+wp.init()
+import gswarp._rasterizer, gswarp.rasterizer
+from warp._src.context import user_modules
+for name, module in list(user_modules.items()):
+    if name.startswith("gswarp") and module.kernels:
+        wp.compile_aot_module(module, arch=90, use_ptx=False)
+PY
+    for d in "$work"/all/*/*/; do
+        t=$work/x/cache/$(basename "$(dirname "$d")")/$(basename "$d"); mkdir -p "$t"; cp "$d"/*.cubin "$d"/*.meta "$t"
+    done
+    PYTHONPATH="$root:$root/tools" "$python" -m gpu_day.check save "$work/x/reference.npz" --device cpu
+    tar --sort=name --mtime=@0 --owner=0 --group=0 -C "$work/x" -cf - . | xz -9e -T1 > .gpu/extras/extras.tar.xz
+    ls -l .gpu/warp .gpu/extras
+    size() { du -cb "$@" | tail -1 | cut -f1; }
+    tree=$(git ls-files -z --cached --others --exclude-standard | xargs -0 du -cb | tail -1 | cut -f1)
+    all=$((tree + $(size .gpu/warp) + $(size .gpu/extras))) warp=$((tree + $(size .gpu/warp)))
+    echo "the tree $((tree >> 10)) KiB, with Warp $((warp >> 10)), with all $((all >> 10)) of 65536"
+    if [ $all -le $((64 << 20)) ]; then echo "carry .gpu/warp and .gpu/extras at once"
+    elif [ $warp -le $((64 << 20)) ]; then echo "carry .gpu/warp first (bash tools/gpu_day/gpu_day.sh unpack), then .gpu/extras alone"
+    else echo "too large: the tree must lose $(((warp >> 10) - 65536)) KiB"; exit 1; fi
+    exit
+fi
+
+# ---- on the GPU machine -------------------------------------------------------------------------------------
+OUT=${OUT:-/tmp/out}; mkdir -p "$OUT"
+log=$OUT/log.txt; : > "$log"
+root=$PWD
+base=/tmp/gpuday
+table=()
+step() { # NAME SECONDS COMMAND
+    local name=$1 limit=$2 began=$SECONDS rc
+    shift 2
+    echo "===== $name" >> "$log"
+    timeout -k 5 "$limit" bash -c "$*" >> "$log" 2>&1 < /dev/null; rc=$?
+    local verdict=ok; [ $rc -eq 0 ] || verdict="rc $rc"; [ $rc -eq 124 ] && verdict="TIMED OUT"
+    table+=("$(printf '%-22s %-10s %3d s' "$name" "$verdict" $((SECONDS - began)))")
+    echo "${table[-1]}"
+    return 0
+}
+mkdir -p "$base"
+if [ ! -d "$base/site" ]; then
+    [ -s .gpu/warp/warp.tar.xz ] || { echo "no .gpu/warp/warp.tar.xz here: carry .gpu/warp"; exit 1; }
+    rm -rf "$base/site.part" && mkdir "$base/site.part" && tar -xJf .gpu/warp/warp.tar.xz -C "$base/site.part" && mv "$base/site.part" "$base/site"
+fi
+[ "$what" != unpack ] || { ls "$base/site"; exit 0; }
+[ -s .gpu/extras/extras.tar.xz ] || { echo "no .gpu/extras/extras.tar.xz here: carry .gpu/extras"; exit 1; }
+if ! cmp -s .gpu/extras/extras.tar.xz "$base/extras.tar.xz"; then
+    rm -rf "$base/x" && mkdir "$base/x" && tar -xJf .gpu/extras/extras.tar.xz -C "$base/x" && cp -r "$base"/x/site/* "$base/site/"
+    cp .gpu/extras/extras.tar.xz "$base/extras.tar.xz"
+fi
+export PYTHONPATH="$root:$root/tools:$base/site" WARP_CACHE_PATH="$base/x/cache" PYTHONUNBUFFERED=1
+export PYTHONFAULTHANDLER=1 TORCH_EXTENSIONS_DIR=$base/ext GGWARP_TEST_DATA=/nowhere
+check="python3 -m gpu_day.check" reference=$base/x/reference.npz
+pytest="python3 -c \"import sys, warp as wp; wp.config.cuda_output = 'cubin'; import pytest; sys.exit(pytest.main(sys.argv[1:]))\" -q -p no:cacheprovider -o addopts='--import-mode=importlib' --timeout 40 --tb=short -rf"
+
+case $what in
+checks)
+    # gsplat compiles meanwhile, on cores that nothing else wants.
+    if [ ! -e "$base/gsplat.started" ]; then
+        touch "$base/gsplat.started"
+        TORCH_CUDA_ARCH_LIST=9.0 MAX_JOBS=12 setsid nice -n 19 timeout 500 python3 -c 'import gsplat.cuda._backend' \
+            > "$base/gsplat.log" 2>&1 < /dev/null &
+    fi
+    step machine 20 "nvidia-smi; python3 - <<'PY'
+import warp as wp
+from ggwarp.runtime import loading
+loading.init_quietly()
+d = wp.get_device('cuda:0')
+print(d.name, 'driver', d.runtime.driver_version, 'toolkit', d.runtime.toolkit_version, 'mempool', d.is_mempool_enabled,
+      'loops in graphs', wp.is_conditional_graph_supported(), d.get_cuda_output_format(), d.get_cuda_compile_arch())
+modules = loading.kernel_modules('cuda:0')
+print('not precompiled:', [m.name for m in loading.uncompiled(modules, 'cuda:0')])
+loading.load(modules, 'cuda:0')
+PY"
+    step compare 75 "$check compare $reference"
+    step repeatable 30 "$check repeatable"
+    step graphs-streams 40 "$pytest tests/runtime/test_graphs.py tests/runtime/test_streams.py tests/solvers/test_registration.py -k 'cuda:0'"
+    step stream-scopes 40 "$pytest tests/runtime/test_stream_scopes.py -k 'cuda:0'"
+    step two-threads 40 "$check two-threads"
+    step kernel-tests 100 "$pytest -n 6 tests/kernels tests/runtime tests/solvers tests/map tests/ops -k 'cuda:0' --deselect tests/runtime/test_stream_scopes.py"
+    step system-tests 60 "$pytest -n 6 tests/pipeline tests/objects -k 'cuda:0'"
+    ;;
+bench)
+    b="python3 tools/benchmark.py"
+    step kernels 75 "$b kernels --device cuda:0 --size 1200x680 --gaussians 300000 --rounds 12 --no-compile --out $OUT/kernels.json"
+    step gswarp 40 "python3 -m gpu_day.gswarp_peer 1200x680 300000"
+    step sequence 45 "python3 -m gpu_day.office_sequence 60 1.0 /tmp/office"
+    step run 90 "python3 -m ggwarp.run --seq /tmp/office --device cuda:0 --out /tmp/run1 --save-renders 0 && cp /tmp/run1/metrics.json $OUT/metrics.json && head -40 /tmp/run1/frames.csv"
+    step run-profiled 60 "python3 -m cProfile -s tottime -m ggwarp.run --seq /tmp/office --frames 0:12 --device cuda:0 --out /tmp/run2 --save-renders 0 | head -60"
+    step run-uncapped 60 "python3 -m ggwarp.run --seq /tmp/office --device cuda:0 --fps uncapped --out /tmp/run3 --save-renders 0 && cp /tmp/run3/metrics.json $OUT/uncapped.json"
+    step tracking 45 "$b tracking --device cuda:0 --seq /tmp/office --quick --out $OUT/tracking.json"
+    step gsplat 75 "for i in \$(seq 60); do ls $base/ext/*/gsplat_cuda.so >/dev/null 2>&1 && break; sleep 1; done; tail -3 $base/gsplat.log; $b kernels --device cuda:0 --size 1200x680 --gaussians 300000 --quick --no-compile --out $OUT/gsplat.json"
+    ;;
+deep)
+    one="tests/kernels/raster/test_composite.py -k 'cuda:0 and matches_the_oracle'"
+    step racecheck 80 "compute-sanitizer --tool racecheck --racecheck-report analysis $pytest $one"
+    step memcheck 60 "compute-sanitizer --tool memcheck --leak-check no $check compare $reference --only render_20_sampled mapping registration"
+    step initcheck 40 "compute-sanitizer --tool initcheck $check compare $reference --only render_20"
+    step ncu 80 "ncu --clock-control none --set full -k 'regex:composite|blur|slopes|classes|finish|adam|project_adjoint|linearise' -c 40 --csv --page raw -o $OUT/ncu --force-overwrite python3 tools/benchmark.py kernels --device cuda:0 --size 1200x680 --gaussians 300000 --quick --no-compile --out $OUT/ncu.json"
+    ;;
+*) echo "what is $what?"; exit 2 ;;
+esac
+grep -E "^(FAIL|DIFF|ok  |repeatable|two threads|FAILED|ERROR|[0-9]+ (passed|failed))|^ +\* |ms$| passed| failed" "$log" | tail -60
+printf '%s\n' "${table[@]}"
