@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from ggwarp.objects.class_table import IGNORED, NO_OBJECT, ClassTable
 from ggwarp.objects.labels import Labels, contingency, ranked, thinned
-from ggwarp.objects.tentative import Candidates, View
+from ggwarp.objects.mask_view import PosedDepth
+from ggwarp.objects.tentative import Candidates
 
 
 @dataclass(frozen=True)
@@ -113,7 +114,7 @@ class SegmentAssociation:
         self._sightings: Counter[int] = Counter()
         self._candidates = Candidates(config.sightings)
 
-    def match(self, mask: Labels, known: Labels | None, view: View) -> AssociatedMask:
+    def match(self, mask: Labels, known: Labels | None, view: PosedDepth) -> AssociatedMask:
         """Return what ``mask`` [h, w] means.
 
         Args:
@@ -139,7 +140,7 @@ class SegmentAssociation:
         labels = np.where(mask == NO_OBJECT, NO_OBJECT, of_segment[segments])
         return AssociatedMask(labels.astype(np.int32), segments, fresh)
 
-    def _follow(self, segments: Labels, matching: Matching, classes: Labels, view: View) -> set[int]:
+    def _follow(self, segments: Labels, matching: Matching, classes: Labels, view: PosedDepth) -> set[int]:
         """Write the class of segments that are objects inside others; return those classes."""
         fresh = set()
         for segment, candidate in self._candidates.follow(segments, matching.open_segments, view):

@@ -20,8 +20,8 @@ from ggwarp.kernels.optim.adam import adam_classifier
 from ggwarp.kernels.raster.sampling import Sample
 from ggwarp.kernels.workspaces import allocate_identity, allocate_neighbours
 from ggwarp.map.gaussians import SH_C0, GaussianMap
+from ggwarp.map.neighbourhood import Neighbourhood
 from ggwarp.map.renderer import Renderer
-from ggwarp.objects.neighbourhood import Neighbourhood
 from ggwarp.runtime.streams import to_host
 from ggwarp.types import Float32
 

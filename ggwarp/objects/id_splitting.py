@@ -20,7 +20,7 @@ from ggwarp.geometry.boxes import linked_parts
 from ggwarp.geometry.voxels import voxel_centres, voxel_keys
 from ggwarp.objects.class_table import IGNORED, ClassTable
 from ggwarp.objects.labels import Labels, solid, thinned
-from ggwarp.objects.tentative import View
+from ggwarp.objects.mask_view import PosedDepth
 from ggwarp.types import Float64
 
 _CELL = 0.1  # metres: places are told apart to so much
@@ -83,7 +83,7 @@ class SharedIdSplitter:
         self._classes = classes
         self._parts: dict[int, list[_Part]] = {}
 
-    def tell_apart(self, given: Labels, known: Labels | None, view: View) -> tuple[Labels, set[int]]:
+    def tell_apart(self, given: Labels, known: Labels | None, view: PosedDepth) -> tuple[Labels, set[int]]:
         """Take in a frame; return its labels with namesakes told apart, and the newest of these.
 
         Args:
@@ -132,7 +132,9 @@ class SharedIdSplitter:
             own[0].take(other)
         self._parts[kept] = own[:1] + [p for p in (*mine, *parts) if p.index != kept]
 
-    def _seen_parts(self, given: Labels, known: Labels | None, view: View) -> Iterator[tuple[int, _Part]]:
+    def _seen_parts(
+        self, given: Labels, known: Labels | None, view: PosedDepth
+    ) -> Iterator[tuple[int, _Part]]:
         """Yield (class, part) for what the frame shows of each id, and part by part if need be."""
         grid = thinned(*given.shape)
         pixels = np.zeros(given.shape, bool)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ggwarp.geometry.voxels import voxel_keys
 from ggwarp.objects.labels import Labels, contingency, ranked, thinned
-from ggwarp.objects.tentative import View
+from ggwarp.objects.mask_view import PosedDepth
 
 _CELL = 0.25  # metres
 _LEAST_PIXELS = 20
@@ -38,7 +38,7 @@ class LabelHistory:
         self._views: Counter[tuple[int, int, int]] = Counter()  # (cell, object, label)
 
     def overruled(
-        self, known: Labels, given: Labels, view: View, *, anew: bool = True
+        self, known: Labels, given: Labels, view: PosedDepth, *, anew: bool = True
     ) -> list[tuple[int, int]]:
         """Take in a view; return (object, label) where its label is to be disbelieved.
 

@@ -32,8 +32,8 @@ from ggwarp.objects.classifier import Classifier
 from ggwarp.objects.id_splitting import SharedIdSplitter, SplittingConfig
 from ggwarp.objects.label_history import LabelHistory, corrected
 from ggwarp.objects.labels import Labels, filled
+from ggwarp.objects.mask_view import PosedDepth
 from ggwarp.objects.merging import MergingConfig, ObjectMerger
-from ggwarp.objects.tentative import View
 from ggwarp.runtime.streams import to_host
 from ggwarp.types import Float64, Frame, Rendered
 
@@ -202,12 +202,12 @@ class ObjectSupervision:
         shown = same & (frame.depth > 0.0) & (rendered.opacity > 0.5)
         return np.where(shown, self._classes.joined(rendered.classes), IGNORED)
 
-    def _view(self, frame: Frame, T_wc: Float64) -> View:
+    def _view(self, frame: Frame, T_wc: Float64) -> PosedDepth:
         assert frame.depth is not None
-        return View(frame.depth, T_wc, self._camera)
+        return PosedDepth(frame.depth, T_wc, self._camera)
 
     def _understood(
-        self, mask: Labels, view: View, seen: Labels | None, known: Labels | None
+        self, mask: Labels, view: PosedDepth, seen: Labels | None, known: Labels | None
     ) -> AssociatedMask:
         """Return which object each of the mask's pixels is of; ``seen``, ``known``: None without a map."""
         if self._matcher is not None:
@@ -217,7 +217,7 @@ class ObjectSupervision:
             given, fresh = self._namesakes.tell_apart(given, known, view)
         return AssociatedMask(given, np.where(given == NO_OBJECT, IGNORED, given), fresh)
 
-    def _put_right(self, known: Labels, given: Labels, view: View, *, anew: bool = True) -> Labels:
+    def _put_right(self, known: Labels, given: Labels, view: PosedDepth, *, anew: bool = True) -> Labels:
         """Return the labels of a mask with those replaced that are wrong about an object of the map."""
         wrong = self._history.overruled(known, given, view, anew=anew)
         # Of an id's objects the place says which it is.

@@ -190,7 +190,9 @@ class Slam:
                 self._mapper.insert(_with_depth(tracked), tracked.result.T_wc, tracked.result.exposure)
         if tracked.result.verdict is not Verdict.LOST:
             with scope:
-                self._mapper.remember(tracked.frame, tracked.result.T_wc, hurried=tracked.arrival.late)
+                self._mapper.observe_frame(
+                    tracked.frame, tracked.result.T_wc, skip_objects=tracked.arrival.late
+                )
         first = len(self.keyframe_indices) == 1 and tracked.kind is not KeyframeKind.NONE
         bootstrap = self.config.mapper.bootstrap if first and self._mapper.ready else 0
         for _ in range(bootstrap):

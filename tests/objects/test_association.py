@@ -7,7 +7,7 @@ from ggwarp.geometry.camera import Camera
 from ggwarp.objects.association import AssociationConfig, SegmentAssociation, match_segments
 from ggwarp.objects.class_table import ClassTable
 from ggwarp.objects.labels import Labels
-from ggwarp.objects.tentative import View
+from ggwarp.objects.mask_view import PosedDepth
 
 CONFIG = AssociationConfig()
 
@@ -61,7 +61,7 @@ class Wall:
 
     def __init__(self) -> None:
         depth = np.full((20, 40), 2.0, np.float32)
-        self.view = View(depth, np.eye(4), Camera(40, 20, 30.0, 30.0, 19.5, 9.5))
+        self.view = PosedDepth(depth, np.eye(4), Camera(40, 20, 30.0, 30.0, 19.5, 9.5))
         self.table = ClassTable()
         self.matcher = SegmentAssociation(CONFIG, self.table)
 

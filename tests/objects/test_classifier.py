@@ -5,9 +5,9 @@ import warp as wp
 from ggwarp.geometry.camera import Camera
 from ggwarp.kernels.losses.rgbd import LOSS_COUNT, OBJECT, OBJECT_3D
 from ggwarp.map.gaussians import GaussianBatch, GaussianMap
+from ggwarp.map.neighbourhood import Neighbourhood
 from ggwarp.map.renderer import Renderer
 from ggwarp.objects.classifier import Classifier, ClassifierConfig
-from ggwarp.objects.neighbourhood import Neighbourhood
 
 CAMERA = Camera(48, 32, 40.0, 40.0, 23.5, 15.5)
 

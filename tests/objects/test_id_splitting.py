@@ -8,7 +8,7 @@ from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from ggwarp.objects.class_table import IGNORED, ClassTable
 from ggwarp.objects.id_splitting import SharedIdSplitter, SplittingConfig, _clusters
-from ggwarp.objects.tentative import View
+from ggwarp.objects.mask_view import PosedDepth
 
 CAMERA = Camera(60, 40, 50.0, 50.0, 29.5, 19.5)
 UNKNOWN = np.full((40, 60), IGNORED, np.int32)
@@ -22,9 +22,9 @@ class Wall:
         self.classes = ClassTable()
         self.namesakes = SharedIdSplitter(SplittingConfig(**options), self.classes)
 
-    def view(self, x: float) -> tuple[np.ndarray, View]:
+    def view(self, x: float) -> tuple[np.ndarray, PosedDepth]:
         T_wc = se3.se3_exp(np.array([x, 0.0, 0.0, 0.0, 0.0, 0.0]))
-        view = View(np.full((40, 60), 2.0, np.float32), T_wc, CAMERA)
+        view = PosedDepth(np.full((40, 60), 2.0, np.float32), T_wc, CAMERA)
         points = view.every_point(np.ones((40, 60), bool)).reshape(40, 60, 3)
         mask = np.full((40, 60), 99, np.int32)
         for middle, identifier in self.squares.items():
@@ -136,7 +136,7 @@ def test_pixels_without_depth_are_nobody_s() -> None:
     given, view = wall.view(5.0)
     holed = view.depth.copy()
     holed[:20] = 0.0
-    labels, _ = wall.namesakes.tell_apart(given, UNKNOWN, View(holed, view.T_wc, CAMERA))
+    labels, _ = wall.namesakes.tell_apart(given, UNKNOWN, PosedDepth(holed, view.T_wc, CAMERA))
     square = given != given[0, 0]
     assert (labels[:20][square[:20]] == IGNORED).all() and (labels[20:][square[20:]] > 0).all()
     assert (labels[~square] == given[~square]).all()
@@ -146,7 +146,7 @@ def test_a_frame_without_depth_or_objects_changes_nothing() -> None:
     wall = Wall({0.0: 7})
     given, view = wall.view(0.0)
     for image, depth in ((given, view.depth * 0.0), (given * 0, view.depth), (UNKNOWN, view.depth)):
-        labels, fresh = wall.namesakes.tell_apart(image, UNKNOWN, View(depth, view.T_wc, CAMERA))
+        labels, fresh = wall.namesakes.tell_apart(image, UNKNOWN, PosedDepth(depth, view.T_wc, CAMERA))
         np.testing.assert_array_equal(labels, image)
         assert not fresh and wall.namesakes.touching() == []
 

@@ -5,16 +5,16 @@ import numpy as np
 
 from ggwarp.geometry.camera import Camera
 from ggwarp.objects.label_history import LabelHistory, corrected
-from ggwarp.objects.tentative import View
+from ggwarp.objects.mask_view import PosedDepth
 
 
-def view_of(image: np.ndarray, x: float = 0.0) -> View:
+def view_of(image: np.ndarray, x: float = 0.0) -> PosedDepth:
     """Return the view of a wall at 2 m, 4 cm a pixel, from ``x`` metres along it."""
     height, width = image.shape
     camera = Camera(width, height, 50.0, 50.0, 0.5 * (width - 1), 0.5 * (height - 1))
     T_wc = np.eye(4)
     T_wc[0, 3] = x
-    return View(np.full(image.shape, 2.0, np.float32), T_wc, camera)
+    return PosedDepth(np.full(image.shape, 2.0, np.float32), T_wc, camera)
 
 
 VIEW = view_of(np.empty((20, 30)))
@@ -114,7 +114,7 @@ def test_nothing_known_nothing_wrong() -> None:
     history, unknown = LabelHistory(), picture(-1, -1, -1)
     assert history.overruled(unknown, picture(1, 2, 3), VIEW) == []
     assert history.overruled(picture(1, 2, 3), unknown, VIEW) == []
-    blind = View(VIEW.depth * 0.0, VIEW.T_wc, VIEW.camera)
+    blind = PosedDepth(VIEW.depth * 0.0, VIEW.T_wc, VIEW.camera)
     assert history.overruled(picture(1, 2, 3), picture(2, 1, 3), blind) == []
     assert not history._views
 

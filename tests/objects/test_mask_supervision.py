@@ -94,7 +94,7 @@ def test_a_keyframe_s_early_mistake_is_taken_back(revise: int, device: str, fram
     where = (frame.mask == first) | (frame.mask == second)
     assert (keyframe.labels.numpy()[where] != right[where]).all()
     for index in range(1000, 1006):
-        mapper.remember(dataclasses.replace(frame, index=index), frame.T_wc)
+        mapper.observe_frame(dataclasses.replace(frame, index=index), frame.T_wc)
     labels = keyframe.labels.numpy()
     wrong = where & (labels >= 0) & (labels != right)
     assert wrong.sum() < 0.1 * where.sum() if revise else wrong.sum() == where.sum()
@@ -108,13 +108,13 @@ def test_frames_that_are_no_keyframes_vote(watch: int, device: str, frame: Frame
     wrong = renamed(frame.mask, target, int(frame.mask.max()) + 1)
     mapper = mapped(device, frame, [wrong], watch=watch, revise=0)
     for index in range(1000, 1010):
-        mapper.remember(dataclasses.replace(frame, index=index), frame.T_wc)
+        mapper.observe_frame(dataclasses.replace(frame, index=index), frame.T_wc)
     share = agreement(mapper, frame, frame.mask == target)
     assert share > 0.9 if watch else share == 0.0
     assert len(mapper.voting_indices) == (8 if watch else 0), "one in five is held out"
-    hurried = mapper.map.fields["votes"].numpy().copy()
-    mapper.remember(dataclasses.replace(frame, index=2000), frame.T_wc, hurried=True)
-    np.testing.assert_array_equal(mapper.map.fields["votes"].numpy(), hurried)
+    before = mapper.map.fields["votes"].numpy().copy()
+    mapper.observe_frame(dataclasses.replace(frame, index=2000), frame.T_wc, skip_objects=True)
+    np.testing.assert_array_equal(mapper.map.fields["votes"].numpy(), before)
 
 
 def test_frames_without_mask_learn_from_the_map(device: str, frame: Frame) -> None:

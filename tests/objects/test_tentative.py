@@ -5,16 +5,17 @@ import numpy as np
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
-from ggwarp.objects.tentative import Candidates, View
+from ggwarp.objects.mask_view import PosedDepth
+from ggwarp.objects.tentative import Candidates
 
 CAMERA = Camera(60, 40, 50.0, 50.0, 29.5, 19.5)
 
 
-def wall_from(x: float, z: float = 2.0) -> tuple[View, np.ndarray]:
+def wall_from(x: float, z: float = 2.0) -> tuple[PosedDepth, np.ndarray]:
     """Return the view of a wall at z = 2 m from (x, 0, 2 - z), and a mask of the square -0.3..0.3 m on it."""
     T_wc = np.eye(4)
     T_wc[:3, 3] = x, 0.0, 2.0 - z
-    view = View(np.full((40, 60), z, np.float32), T_wc, CAMERA)
+    view = PosedDepth(np.full((40, 60), z, np.float32), T_wc, CAMERA)
     points = view.points(np.ones((40, 60), bool), 60 * 40).reshape(40, 60, 3)
     return view, (np.abs(points[..., :2]) < 0.3).all(axis=2)
 
@@ -22,7 +23,7 @@ def wall_from(x: float, z: float = 2.0) -> tuple[View, np.ndarray]:
 def test_points_and_pixels_are_each_other_s_inverse() -> None:
     rng = np.random.default_rng(1)
     T_wc = se3.se3_exp(rng.normal(size=6) * 0.3)
-    view = View(rng.uniform(1.0, 3.0, (40, 60)).astype(np.float32), T_wc, CAMERA)
+    view = PosedDepth(rng.uniform(1.0, 3.0, (40, 60)).astype(np.float32), T_wc, CAMERA)
     numbers = np.arange(40 * 60, dtype=np.int32).reshape(40, 60)
     assert view.look_up(view.points(numbers >= 0, 9999), numbers).tolist() == list(range(40 * 60))
 
@@ -30,7 +31,7 @@ def test_points_and_pixels_are_each_other_s_inverse() -> None:
 def test_only_points_that_a_view_shows_are_looked_up() -> None:
     view, square = wall_from(0.0)
     points = view.points(square, 64)
-    in_front = View(np.full((40, 60), 1.0, np.float32), view.T_wc, CAMERA)
+    in_front = PosedDepth(np.full((40, 60), 1.0, np.float32), view.T_wc, CAMERA)
     labels = square.astype(np.int32)
     assert len(in_front.look_up(points, labels)) == 0
     assert (view.look_up(points, labels) == 1).all()
@@ -57,7 +58,7 @@ def test_views_that_show_the_whole_speak_against_it() -> None:
 
 def test_a_segment_without_depth_is_not_followed() -> None:
     view, square = wall_from(0.0)
-    blind = View(np.zeros_like(view.depth), view.T_wc, CAMERA)
+    blind = PosedDepth(np.zeros_like(view.depth), view.T_wc, CAMERA)
     candidates = Candidates(1)
     for _ in range(3):
         assert candidates.follow(square.astype(np.int32), {1}, blind) == []

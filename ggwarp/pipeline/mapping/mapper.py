@@ -177,17 +177,17 @@ class Mapper:
         kept = ~unconfirmed(keyframe_ids, sights, confirmations)
         self.map.keep(wp.array(kept.astype(np.int32), dtype=int, device=self._device))
 
-    def remember(self, frame: Frame, T_wc: Float64, *, hurried: bool = False) -> None:
+    def observe_frame(self, frame: Frame, T_wc: Float64, *, skip_objects: bool = False) -> None:
         """Take in any frame, a keyframe or not, tracked at ``T_wc`` [4, 4]; every one, in order.
 
         It is kept for the depth of later ones, and its mask may vote.
 
         Args:
-            hurried: leave objects as they are, as there is no time.
+            skip_objects: leave objects as they are, as there is no time.
         """
         if self._depth_completion is not None:
             self._depth_completion.remember(frame, T_wc)
-        if not hurried and self._supervision is not None and self._config.supervision.votes > 0:
+        if not skip_objects and self._supervision is not None and self._config.supervision.votes > 0:
             self._watch(self._supervision, frame, T_wc)
 
     def _watch(self, supervision: ObjectSupervision, frame: Frame, T_wc: Float64) -> None:

@@ -198,7 +198,7 @@ def test_monocular_keyframes_get_their_depth_from_the_map_and_the_motion(device:
             mapper.insert(office[0], frame.T_wc)  # as a start estimates it
             for _ in range(20):
                 mapper.iterate()
-        mapper.remember(frame, frame.T_wc)
+        mapper.observe_frame(frame, frame.T_wc)
     before = mapper.map.count
     T_wc = frames[7].T_wc
     assert T_wc is not None
