@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from ggwarp.datasets import FrameReader, SyntheticOffice, open_dataset
     from ggwarp.geometry.camera import Camera
     from ggwarp.pipeline.slam import Slam, SlamConfig
+    from ggwarp.results.saved_run import RunError, SavedRun, load_run
     from ggwarp.types import Frame, Rendered, StepReport, TrackResult, Verdict
 
 __version__ = "0.1.0"
@@ -21,6 +22,8 @@ __all__ = [
     "FrameReader",
     "Rendered",
     "RunConfig",
+    "RunError",
+    "SavedRun",
     "Slam",
     "SlamConfig",
     "StepReport",
@@ -28,6 +31,7 @@ __all__ = [
     "TrackResult",
     "Verdict",
     "__version__",
+    "load_run",
     "open_dataset",
 ]
 
@@ -40,6 +44,7 @@ _HOMES = {
     "open_dataset": "ggwarp.datasets",
     "Slam": "ggwarp.pipeline.slam",
     "SlamConfig": "ggwarp.pipeline.slam",
+    **dict.fromkeys(["RunError", "SavedRun", "load_run"], "ggwarp.results.saved_run"),
     **dict.fromkeys(["Frame", "Rendered", "StepReport", "TrackResult", "Verdict"], "ggwarp.types"),
 }
 

@@ -36,6 +36,7 @@ from ggwarp.monocular import monocular
 from ggwarp.pipeline.scheduler import LiveScheduler, Scheduler, UncappedScheduler
 from ggwarp.pipeline.slam import Slam
 from ggwarp.results import run_folder
+from ggwarp.results.record import RunRecord
 from ggwarp.runtime import loading
 from ggwarp.session import Interruption, evaluate, load_kernels, refine, save, track_and_map
 
@@ -209,7 +210,7 @@ def execute(config: RunConfig, display: Display, interruption: Interruption, sta
     load_kernels(device, display)
     # The objects of untracked masks are numbered by the map.
     names = getattr(dataset, "class_names", {}) if config.tracked_masks else {}
-    record = run_folder.RunRecord(name, dataset.kind, device, class_names=names, monocular=config.mono)
+    record = RunRecord(name, dataset.kind, device, class_names=names, monocular=config.mono)
     with reader:
         kept = track_and_map(slam, reader, record, display, interruption, concurrent=concurrent)
     if not record.reports and record.failure is None:

@@ -20,6 +20,8 @@ from ggwarp.evaluation.image import open_lpips
 from ggwarp.pipeline.runner import SideError, run_steps
 from ggwarp.pipeline.slam import Slam
 from ggwarp.results import run_folder
+from ggwarp.results.metrics import metrics_of
+from ggwarp.results.record import RunRecord
 from ggwarp.results.renders import RenderWriter
 from ggwarp.runtime import loading
 from ggwarp.types import Frame, Rendered, StepReport, Verdict
@@ -63,7 +65,7 @@ def load_kernels(device: str, display: Display) -> None:
 def track_and_map(
     slam: Slam,
     reader: FrameReader,
-    record: run_folder.RunRecord,
+    record: RunRecord,
     display: Display,
     interruption: Interruption,
     *,
@@ -111,7 +113,7 @@ def track_and_map(
     return kept
 
 
-def _skip(frame: BadFrame, record: run_folder.RunRecord, display: Display) -> None:
+def _skip(frame: BadFrame, record: RunRecord, display: Display) -> None:
     record.skipped[frame.index] = frame.reason
     display.advance(f"frame {frame.index} skipped")
     display.warn(f"frame {frame.index} skipped: {frame.reason}")
@@ -126,7 +128,7 @@ def _status(step: StepReport, fps: float) -> str:
 
 
 def refine(
-    slam: Slam, iterations: int, record: run_folder.RunRecord, display: Display, interruption: Interruption
+    slam: Slam, iterations: int, record: RunRecord, display: Display, interruption: Interruption
 ) -> None:
     """Fit the finished map ``iterations`` times more; Ctrl-C ends that early and the run goes on.
 
@@ -160,7 +162,7 @@ def evaluate(
     slam: Slam,
     reader: FrameReader,
     kept: list[Frame],
-    record: run_folder.RunRecord,
+    record: RunRecord,
     folder: Path,
     display: Display,
     interruption: Interruption,
@@ -198,13 +200,13 @@ def evaluate(
         record.evaluation = evaluation
 
 
-def save(slam: Slam, record: run_folder.RunRecord, folder: Path, started: float) -> dict[str, Any]:
+def save(slam: Slam, record: RunRecord, folder: Path, started: float) -> dict[str, Any]:
     """Write the run folder and return what ``metrics.json`` holds."""
     run_folder.write_trajectories(folder, record)  # first: where the device has failed, the map cannot be had
     arrays = slam.map_arrays()
     run_folder.write_map(folder, arrays, slam.objects(record.class_names), slam.linear_classifier())
     run_folder.write_frames(folder, record)
     run_folder.write_object_scores(folder, record)
-    metrics = run_folder.metrics_of(record, wall_s=time.perf_counter() - started, gaussians=len(arrays))
+    metrics = metrics_of(record, wall_s=time.perf_counter() - started, gaussians=len(arrays))
     run_folder.write_metrics(folder, metrics)
     return metrics

@@ -19,13 +19,13 @@ import numpy as np
 import pytest
 
 from ggwarp import config, run
-from ggwarp.editing.saved_run import load_run
 from ggwarp.geometry.camera import Camera
 from ggwarp.io.ply import PlyGaussians, read_ply
 from ggwarp.io.trajectory import read_tum
 from ggwarp.objects.inventory import inventory
 from ggwarp.objects.linear_classifier import LinearClassifier
 from ggwarp.results import run_folder
+from ggwarp.results.saved_run import load_run
 from ggwarp.types import Rendered, StepReport, Verdict
 
 WIDTH, HEIGHT, FRAMES = 64, 48, 6

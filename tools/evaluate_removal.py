@@ -31,12 +31,12 @@ from ggwarp.editing.edits import remove
 from ggwarp.editing.inpaint.filling import fill_removed
 from ggwarp.editing.inpaint.image_inpainting import inpaint_opencv, inpaint_shade
 from ggwarp.editing.map_view import MapView
-from ggwarp.editing.saved_run import RunError, SavedRun, load_run
 from ggwarp.editing.selection import select
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from ggwarp.io.trajectory import read_tum
 from ggwarp.objects.inventory import ObjectRecord
+from ggwarp.results.saved_run import RunError, SavedRun, load_run
 from ggwarp.types import Float32, Float64, Frame
 
 Bools = NDArray[np.bool_]

@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from ggwarp.editing.inpaint.filling import FillConfig, fill_removed
     from ggwarp.editing.inpaint.image_inpainting import inpaint_opencv, inpaint_shade
     from ggwarp.editing.map_view import MapView, best_views
-    from ggwarp.editing.saved_run import RunError, SavedRun, load_run, save_run
     from ggwarp.editing.selection import SelectionConfig, select
     from ggwarp.objects.inventory import ObjectRecord
+    from ggwarp.results.saved_run import RunError, SavedRun, load_run, save_run
 
 __all__ = [
     "FillConfig",
@@ -56,12 +56,12 @@ _HOMES = {
     "edits": ["extract", "join", "motion_about", "move", "recolour", "relabel", "remove"],
     "inpaint.filling": ["FillConfig", "fill_removed"],
     "inpaint.image_inpainting": ["inpaint_opencv", "inpaint_shade"],
-    "saved_run": ["RunError", "SavedRun", "load_run", "save_run"],
     "selection": ["SelectionConfig", "select"],
     "map_view": ["MapView", "best_views"],
 }
 _HOME_OF = {name: f"ggwarp.editing.{home}" for home, names in _HOMES.items() for name in names}
 _HOME_OF["ObjectRecord"] = "ggwarp.objects.inventory"
+_HOME_OF |= dict.fromkeys(["RunError", "SavedRun", "load_run", "save_run"], "ggwarp.results.saved_run")
 
 
 def __getattr__(name: str) -> Any:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ggwarp.editing.command_line import EDITS, parse
-from ggwarp.editing.saved_run import RunError, load_run, save_run
+from ggwarp.results.saved_run import RunError, load_run, save_run
 
 USER_ERROR = 2
 INTERRUPTED = 130
@@ -34,6 +34,8 @@ def execute(steps: list[argparse.Namespace]) -> int:
     """Do what ``steps`` (see :func:`ggwarp.editing.command_line.parse`) ask for; return the exit code."""
     first = steps[0]
     run = load_run(first.run)
+    if run.gaussians.object_ids is None:
+        raise RunError(f"{first.run}: its map knows no objects; run the sequence with masks")
     if first.verb == "list":
         from ggwarp.editing.pictures import print_table
 

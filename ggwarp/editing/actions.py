@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from ggwarp.editing import edits
 from ggwarp.editing.device import ready_device
-from ggwarp.editing.saved_run import RunError, SavedRun
 from ggwarp.editing.selection import SelectionConfig, select
 from ggwarp.geometry import se3
 from ggwarp.io.ply import PlyGaussians
 from ggwarp.objects.inventory import ObjectRecord, centre_of
+from ggwarp.results.saved_run import RunError, SavedRun
 from ggwarp.types import Float64
 
 Bools = NDArray[np.bool_]

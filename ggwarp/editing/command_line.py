@@ -8,7 +8,7 @@ import math
 from pathlib import Path
 from typing import NoReturn
 
-from ggwarp.editing.saved_run import RunError
+from ggwarp.results.saved_run import RunError
 
 THEN = "then"
 """Joins several edits in one call."""

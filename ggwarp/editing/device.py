@@ -7,7 +7,7 @@ import importlib
 
 import warp as wp
 
-from ggwarp.editing.saved_run import RunError
+from ggwarp.results.saved_run import RunError
 from ggwarp.runtime import loading
 
 _RENDERING = ("ggwarp.editing.map_view", "ggwarp.editing.inpaint.fitting")

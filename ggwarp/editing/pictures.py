@@ -17,10 +17,10 @@ from ggwarp.editing.actions import chosen_gaussians
 from ggwarp.editing.device import ready_device
 from ggwarp.editing.edits import extract
 from ggwarp.editing.map_view import MapView, best_views, crop_to
-from ggwarp.editing.saved_run import RunError, SavedRun
 from ggwarp.io.atomic import atomic_write
 from ggwarp.io.ply import write_ply
 from ggwarp.objects.inventory import ObjectRecord
+from ggwarp.results.saved_run import RunError, SavedRun
 from ggwarp.types import Float32
 
 _WIDE = 130  # columns where there is no terminal to ask

@@ -14,6 +14,7 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -41,6 +42,7 @@ from ggwarp.pipeline.tracking.monocular import MonocularTracker
 from ggwarp.pipeline.tracking.photometric import PhotometricConfig
 from ggwarp.pipeline.tracking.point_map import TrackableConfig, TrackableMap
 from ggwarp.pipeline.tracking.tracker import Tracker, TrackerKind, make_tracker
+from ggwarp.results.run_folder import write_system
 from ggwarp.runtime import loading
 from ggwarp.runtime.streams import NO_LOCK, stream_scopes
 from ggwarp.types import Float64, Frame, Rendered, StepReport, TrackResult, Verdict
@@ -94,7 +96,7 @@ class Slam:
     """Object-level RGB-D SLAM, one frame at a time.
 
     Attributes:
-        device: Warp device.
+        device: Warp device. camera: of the frames' pictures.
         map: the Gaussians.
         reports: one row a frame.
         keyframe_indices: frames that were ever used for mapping.
@@ -120,7 +122,7 @@ class Slam:
         """
         self.config = config
         self.device = device
-        self._cameras = camera, sensor_camera
+        self.camera, self._sensor_camera = camera, sensor_camera
         self._scheduler = scheduler or SynchronousScheduler(config.mapper.iterations)
         self._scopes = (NO_LOCK, NO_LOCK)
         self.reports: list[StepReport] = []
@@ -129,8 +131,7 @@ class Slam:
 
     def _build(self) -> None:
         """Make an empty map, and the parts that work on it."""
-        config, device = self.config, self.device
-        camera, sensor_camera = self._cameras
+        config, device, camera = self.config, self.device, self.camera
         self._trackable = TrackableMap(config.trackable, device=device)
         window = config.window if config.policy == "covisibility" else None
         self._mapper = Mapper(
@@ -154,7 +155,7 @@ class Slam:
             photometric=config.photometric,
             hybrid=config.hybrid,
             initialisation=config.initialisation if config.monocular else None,
-            sensor_camera=sensor_camera,
+            sensor_camera=self._sensor_camera,
             renderer=Renderer(self._mapper.map, camera, identity=False),
             device=device,
         )
@@ -223,9 +224,7 @@ class Slam:
             ValueError: tracking looks at the Gaussians being mapped.
         """
         if self.sequential_only:
-            raise ValueError(
-                "this tracker looks at the Gaussians being mapped: it works in turn with the mapper"
-            )
+            raise ValueError("tracking looks at the Gaussians being mapped: it works in turn with the mapper")
         # Two threads must not compile a kernel at once.
         loading.load(loading.imported_kernel_modules(self.device), self.device)
         with stream_scopes(self.device) as scopes:
@@ -282,6 +281,10 @@ class Slam:
     def linear_classifier(self) -> LinearClassifier | None:
         """Return what tells identities apart; None without identities."""
         return self._mapper.linear_classifier()
+
+    def save(self, folder: str | Path, names: dict[int, str] | None = None) -> None:
+        """Write what :func:`ggwarp.load_run` reads; ``names`` are the objects' classes by id, where known."""
+        write_system(Path(folder), self, names or {})
 
     def _track(self, frame: Frame) -> TrackResult:
         T_first = np.eye(4) if frame.T_wc is None else frame.T_wc

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from ggwarp.editing.__main__ import main
-from ggwarp.editing.saved_run import load_run
 from ggwarp.io.ply import read_ply, write_ply
+from ggwarp.results.saved_run import load_run
 
 
 def _bytes(folder: Path) -> dict[str, bytes]:
@@ -153,6 +153,13 @@ def test_a_damaged_folder_ends_in_one_line(run_folder, capsys, file, text, messa
     assert len(err.splitlines()) == 1 and file in err and message in err
 
 
+def test_a_map_without_objects_cannot_be_edited(run_folder, capsys):
+    gaussians = read_ply(run_folder / "map.ply")
+    write_ply(run_folder / "map.ply", **(vars(gaussians) | {"object_ids": None}))
+    assert main([str(run_folder), "list"]) == 2
+    assert "its map knows no objects; run the sequence with masks" in capsys.readouterr().err
+
+
 def test_pictures_are_not_overwritten(run_folder, capsys):
     assert main([str(run_folder), "show", "5", "--views", "1"]) == 0
     before = _bytes(run_folder)
@@ -164,7 +171,7 @@ def test_a_hidden_object_cannot_be_shown(run_folder, capsys):
     poses = (run_folder / "trajectory.txt").read_text().splitlines()
     (run_folder / "trajectory.txt").write_text(poses[-1] + "\n")  # the one that looks away
     assert main([str(run_folder), "show", "5"]) == 2
-    assert "out of object_view" in capsys.readouterr().err
+    assert "out of sight" in capsys.readouterr().err
 
 
 def test_as_a_program(run_folder):

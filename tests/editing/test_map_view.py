@@ -4,7 +4,7 @@ import pytest
 
 from ggwarp.editing.edits import extract
 from ggwarp.editing.map_view import MapView, best_views, crop_to
-from ggwarp.editing.saved_run import load_run
+from ggwarp.results.saved_run import load_run
 
 
 def test_coverage_shares_a_pixel_out(run_folder, device):

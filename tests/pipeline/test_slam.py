@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from ggwarp.geometry import se3
 from ggwarp.pipeline.mapping.mapper import MapperConfig
 from ggwarp.pipeline.slam import Slam, SlamConfig
 from ggwarp.pipeline.tracking.keyframe_policy import CovisibilityConfig
+from ggwarp.results.saved_run import load_run
 from ggwarp.types import Frame, Verdict
 
 OFFICE = SyntheticOffice(scale=0.15)
@@ -95,3 +97,20 @@ def test_covisible_keyframes_are_fitted_with_their_poses(device: str, frames: li
     moved = [i for i, T in fitted.items() if not np.allclose(T, tracked[i], atol=1e-6)]
     assert moved == [2, 4], "keyframes but the first, which holds the world in place"
     assert all(error_cm(T, frames[i].T_wc) < 1.0 for i, T in fitted.items())
+
+
+@pytest.mark.parametrize("use_identity", [True, False])
+def test_what_is_saved_is_opened(frames: list[Frame], tmp_path: Path, use_identity: bool) -> None:
+    config = dataclasses.replace(CONFIG, use_identity=use_identity)
+    slam = Slam(config, OFFICE.camera, OFFICE.camera)
+    for frame in frames[:2]:
+        slam.step(frame)
+    slam.save(tmp_path / "new" / "run")
+
+    run = load_run(tmp_path / "new" / "run")
+
+    assert (run.gaussians.means == slam.map_arrays().means).all() and run.camera == OFFICE.camera
+    np.testing.assert_allclose(run.poses, [r.T_wc for r in slam.reports], atol=1e-6)
+    described = [(o.id, o.count, o.views) for o in slam.objects({})]
+    assert [(o.id, o.count, o.views) for o in run.objects] == described and bool(described) is use_identity
+    assert (run.classifier is not None) is use_identity and run.edits == ()

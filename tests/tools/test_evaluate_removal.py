@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from ggwarp import run
-from ggwarp.editing.saved_run import load_run
+from ggwarp.results.saved_run import load_run
 
 _SPEC = importlib.util.spec_from_file_location(
     "evaluate_removal", Path(__file__).parents[2] / "tools" / "evaluate_removal.py"

@@ -4,8 +4,8 @@ import numpy as np
 from ggwarp.editing.edits import recolour
 from ggwarp.editing.inpaint.fitting import RefitConfig, Target, fit
 from ggwarp.editing.map_view import MapView
-from ggwarp.editing.saved_run import load_run
 from ggwarp.kernels.optim.adam import AdamRates
+from ggwarp.results.saved_run import load_run
 
 
 def test_free_gaussians_learn_and_held_ones_keep_every_bit(run_folder, device):

@@ -15,11 +15,11 @@ from ggwarp.io.camera import read_camera, write_camera
 from ggwarp.io.json import write_json
 from ggwarp.io.ply import PlyGaussians, read_ply, write_ply
 from ggwarp.io.trajectory import read_tum
-from ggwarp.objects.inventory import ObjectRecord, refreshed
+from ggwarp.objects.inventory import ObjectRecord, inventory, refreshed
 from ggwarp.objects.linear_classifier import LinearClassifier, read_classifier, write_classifier
 from ggwarp.types import Float64
 
-_NEEDED = ("map.ply", "objects.json", "camera.json", "trajectory.txt")
+_NEEDED = ("map.ply", "camera.json", "trajectory.txt")
 _COPIED = ("config.toml", "trajectory.txt", "trajectory_gt.txt")
 
 
@@ -29,12 +29,12 @@ class RunError(ValueError):
 
 @dataclass(frozen=True)
 class SavedRun:
-    """What a run left that edits and renders need.
+    """What a run left that views, renders and edits need.
 
     Attributes:
         folder: where it was read from.
         gaussians: the map.
-        objects: the map's objects, by id.
+        objects: the map's objects, by id; none where the run learnt none.
         camera: of the run's images.
         poses: [n, 4, 4] camera-to-world, one a frame of the run.
         classifier: what tells identities apart; None where the run learnt none.
@@ -77,10 +77,10 @@ class SavedRun:
 
 
 def load_run(folder: str | Path) -> SavedRun:
-    """Read a run folder.
+    """Read what any run left: with or without objects, of the command or of :meth:`ggwarp.Slam.save`.
 
     Raises:
-        RunError: it is none, a file is missing or damaged, or the map knows no objects.
+        RunError: it is no run folder, or a file is missing or damaged.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -96,9 +96,11 @@ def load_run(folder: str | Path) -> SavedRun:
         classifier = read_classifier(file) if file.is_file() else None
     except ValueError as error:
         raise RunError(str(error)) from None
-    objects, edits = _read_objects(folder / "objects.json")
-    if gaussians.object_ids is None:
-        raise RunError(f"{folder}: its map knows no objects; run the sequence with masks")
+    file = folder / "objects.json"
+    if file.is_file():
+        objects, edits = _read_objects(file)
+    else:
+        objects, edits = tuple(inventory(gaussians.means, gaussians.colours, gaussians.object_ids)), ()
     return SavedRun(folder, gaussians, objects, camera, poses, classifier, edits)
 
 

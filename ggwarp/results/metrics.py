@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A run's figures, as ``metrics.json`` holds them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from ggwarp.evaluation.evaluate import Scores
+from ggwarp.evaluation.trajectory import TrajectoryError, absolute_error, relative_error, to_scale
+from ggwarp.results.record import RunRecord
+from ggwarp.types import Verdict
+
+_IMAGE_FIGURES = (
+    *("psnr", "psnr_exposed", "ssim", "lpips", "depth_l1_cm"),
+    *("miou", "miou_matched", "miou_interior", "pixel_accuracy"),
+)
+_OBJECT_FIGURES = ("pq", "sq", "rq", "objects_true", "objects_found")  # of all frames alone
+
+
+def metrics_of(record: RunRecord, *, wall_s: float, gaussians: int) -> dict[str, Any]:
+    """Return the run's figures under their names in ``metrics.json``; None = not measured.
+
+    ``fps`` is frames over the time of the tracking and mapping loop, refinement not counted; ``tracking_ms``
+    and ``mapping_ms`` are means per frame; ``wall_s`` runs from the command's start.
+    """
+    reports = record.reports
+    ate, rpe, scale = _trajectory_errors(record)
+    return {
+        "sequence": record.sequence,
+        "dataset": record.dataset,
+        "device": record.device,
+        "frames": len(reports),
+        "fps": len(reports) / record.loop_s if reports and record.loop_s > 0.0 else None,
+        "wall_s": wall_s,
+        "tracking_ms": _mean(r.tracking_ms for r in reports),
+        "mapping_ms": _mean(r.mapping_ms for r in reports),
+        "mapping_iterations": sum(r.mapping_iterations for r in reports),
+        "iterations_per_frame": _mean(r.mapping_iterations for r in reports),
+        "refine_iterations": record.refine_iterations,
+        "refine_s": record.refine_s,
+        "latency_ms_p50": _percentile([r.latency_ms for r in reports], 50),
+        "latency_ms_p95": _percentile([r.latency_ms for r in reports], 95),
+        "frames_late": sum(r.late_ms > 0.0 for r in reports),
+        "late_ms_max": max((r.late_ms for r in reports), default=None),
+        "frames_behind_max": max((r.frames_behind for r in reports), default=None),
+        "ate_rmse_cm": None if ate is None else 100.0 * ate.rmse,
+        "ate_mean_cm": None if ate is None else 100.0 * ate.mean,
+        "rpe_rmse_cm": None if rpe is None else 100.0 * rpe.rmse,
+        "alignment": None if ate is None else "sim3" if record.monocular else "se3",
+        "scale": scale if record.monocular else None,
+        **_figures(record.evaluation.all_frames, (*_IMAGE_FIGURES, *_OBJECT_FIGURES)),
+        **_figures(record.evaluation.held_out, _IMAGE_FIGURES, "heldout_"),
+        "miou_against": record.evaluation.miou_against,
+        "heldout_frames": record.evaluation.held_out.frames if record.evaluation.per_frame else None,
+        "gaussians": gaussians,
+        "tracking_keyframes": record.counts.get("tracking_keyframes", 0),
+        "mapping_keyframes": record.counts.get("mapping_keyframes", 0),
+        "frames_lost": record.counts.get("frames_lost", 0),
+        "frames_skipped": len(record.skipped),
+        "peak_memory_mb": peak_memory_mb(),
+    }
+
+
+def peak_memory_mb() -> float | None:
+    """Return the most memory this process has held, MiB; None where the system does not say."""
+    try:
+        import resource
+        import sys
+    except ImportError:
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (1 << 20 if sys.platform == "darwin" else 1 << 10)
+
+
+def _figures(scores: Scores, names: tuple[str, ...], prefix: str = "") -> dict[str, float | int | None]:
+    return {prefix + name: getattr(scores, name) for name in names}
+
+
+def _trajectory_errors(
+    record: RunRecord,
+) -> tuple[TrajectoryError | None, TrajectoryError | None, float | None]:
+    """Return the absolute and the relative error, and the scale that was given to the estimate."""
+    known = [r for r in record.reports if r.index in record.truth]
+    tracked = sum(r.verdict is not Verdict.LOST for r in record.reports)
+    # One pose held still fits any other: that would not be a measurement.
+    if not known or tracked < min(2, len(record.reports)):
+        return None, None, None
+    estimated = np.stack([r.T_wc for r in known])
+    true = np.stack([record.truth[r.index] for r in known])
+    scale = 1.0
+    if record.monocular:
+        estimated, scale = to_scale(estimated, true)
+    return absolute_error(estimated, true), relative_error(estimated, true), scale
+
+
+def ate_per_frame(record: RunRecord) -> dict[int, float]:
+    """Return index -> distance from the true position after alignment, cm; empty where that says nothing."""
+    ate, _, _ = _trajectory_errors(record)
+    known = [r.index for r in record.reports if r.index in record.truth]
+    return {} if ate is None else dict(zip(known, (100.0 * ate.per_frame).tolist(), strict=True))
+
+
+def _mean(values: Iterable[float]) -> float | None:
+    listed = list(values)
+    return float(np.mean(listed)) if listed else None
+
+
+def _percentile(values: list[float], percent: float) -> float | None:
+    return float(np.percentile(values, percent)) if values else None

@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a run gathers on its way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+from ggwarp.evaluation.evaluate import Evaluation
+from ggwarp.types import Float64, StepReport
+
+
+@dataclass
+class RunRecord:
+    """What a run gathers on its way, the map itself aside.
+
+    Attributes:
+        sequence: its name. dataset: its kind. device: "cpu" or "cuda:N".
+        reports: one a processed frame, in order.
+        truth: index -> [4, 4] true camera-to-world pose, where known.
+        monocular: whether the trajectory has no scale of its own.
+        skipped: index -> why the frame could not be used.
+        counts: tracking_keyframes, mapping_keyframes, frames_lost.
+        class_names: mask id -> what the object is, where the data says.
+        loop_s: seconds from the first frame's arrival to the last one's end.
+        refine_iterations, refine_s: spent on the map after the last frame.
+        failure: what ended the run early; None: nothing did.
+        evaluation: pictures and objects against the frames; empty when not done.
+    """
+
+    sequence: str
+    dataset: str
+    device: str
+    reports: list[StepReport] = field(default_factory=list)
+    truth: dict[int, Float64] = field(default_factory=dict)
+    skipped: dict[int, str] = field(default_factory=dict)
+    monocular: bool = False
+    counts: dict[str, int] = field(default_factory=dict)
+    class_names: dict[int, str] = field(default_factory=dict)
+    loop_s: float = 0.0
+    refine_iterations: int = 0
+    refine_s: float = 0.0
+    failure: Exception | None = None
+    evaluation: Evaluation = field(default_factory=Evaluation)
+
+    def poses(self) -> dict[int, Float64]:
+        """Return index -> [4, 4] estimated camera-to-world pose."""
+        return {r.index: r.T_wc for r in self.reports}
+
+    def correct(self, poses: dict[int, Float64]) -> None:
+        """Replace the poses of the frames in ``poses``: fitted after they were reported."""
+        self.reports = [replace(r, T_wc=poses.get(r.index, r.T_wc)) for r in self.reports]
