@@ -32,7 +32,7 @@ ALLOWED: dict[str, set[str]] = {
     "datasets": _DEVICE | {"io"},
     "evaluation": _VALUES | {"map"},
     "pipeline.tracking": _MAP,
-    "pipeline.mapping": _MAP | {"objects", "io"},
+    "pipeline.mapping": _MAP | {"objects"},
     "pipeline": _MAP | {"objects", "io", "results", *_SYSTEM},
     "results": _VALUES | {"map", "io", "objects", "evaluation"},
     "editing": _MAP | {"io", "objects", "evaluation", "results"},

@@ -17,7 +17,8 @@ from ggwarp import run
 from ggwarp.datasets.built_in.synthetic import SyntheticOffice
 from ggwarp.io.ply import read_ply
 from ggwarp.io.trajectory import read_tum
-from ggwarp.map.gaussians import GaussianBatch, GaussianMap
+from ggwarp.map.gaussian_map import GaussianMap
+from ggwarp.map.gaussians import Gaussians
 from ggwarp.map.renderer import Renderer
 
 SMALL = ["--seq", "office", "--scale", "0.1", "--device", "cpu"]
@@ -51,9 +52,7 @@ def test_the_map_knows_its_objects(first):
 def test_the_file_alone_renders_the_same_picture(first):
     rows = read_ply(first / "map.ply")
     gaussians = GaussianMap(device="cpu", has_identity=False)
-    gaussians.append(
-        GaussianBatch(rows.means, rows.quats, rows.log_scales, rows.opacity_logits, rows.colours)
-    )
+    gaussians.append(Gaussians(rows.means, rows.quats, rows.log_scales, rows.opacity_logits, rows.colours))
     renderer = Renderer(gaussians, SyntheticOffice(scale=0.1).camera)
     _, poses = read_tum(first / "trajectory.txt")
     for index in (0, 3):

@@ -20,8 +20,9 @@ import pytest
 
 from ggwarp import config, run
 from ggwarp.geometry.camera import Camera
-from ggwarp.io.ply import PlyGaussians, read_ply
+from ggwarp.io.ply import read_ply
 from ggwarp.io.trajectory import read_tum
+from ggwarp.map.gaussians import Gaussians
 from ggwarp.objects.inventory import inventory
 from ggwarp.objects.linear_classifier import LinearClassifier
 from ggwarp.results import run_folder
@@ -111,7 +112,7 @@ class FakeSlam:
         values = np.arange(21, dtype=np.float32).reshape(7, 3)
         identities = np.random.default_rng(0).normal(size=(7, 16)).astype(np.float32)
         quats = np.tile(np.float32([1, 0, 0, 0]), (7, 1))
-        return PlyGaussians(values, quats, values, values[:, 0], values, ids, identities)
+        return Gaussians(values, quats, values, values[:, 0], values, ids, identities)
 
     def objects(self, names):
         arrays = self.map_arrays()

@@ -21,11 +21,12 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ggwarp.editing.edits import extract, join, motion_about, move, recolour, relabel, remove
+    from ggwarp.editing.edits import extract, motion_about, move, recolour, relabel, remove
     from ggwarp.editing.inpaint.filling import FillConfig, fill_removed
     from ggwarp.editing.inpaint.image_inpainting import inpaint_opencv, inpaint_shade
     from ggwarp.editing.map_view import MapView, best_views
     from ggwarp.editing.selection import SelectionConfig, select
+    from ggwarp.map.gaussians import join
     from ggwarp.objects.inventory import ObjectRecord
     from ggwarp.results.saved_run import RunError, SavedRun, load_run, save_run
 
@@ -53,7 +54,7 @@ __all__ = [
 ]
 
 _HOMES = {
-    "edits": ["extract", "join", "motion_about", "move", "recolour", "relabel", "remove"],
+    "edits": ["extract", "motion_about", "move", "recolour", "relabel", "remove"],
     "inpaint.filling": ["FillConfig", "fill_removed"],
     "inpaint.image_inpainting": ["inpaint_opencv", "inpaint_shade"],
     "selection": ["SelectionConfig", "select"],
@@ -62,6 +63,7 @@ _HOMES = {
 _HOME_OF = {name: f"ggwarp.editing.{home}" for home, names in _HOMES.items() for name in names}
 _HOME_OF["ObjectRecord"] = "ggwarp.objects.inventory"
 _HOME_OF |= dict.fromkeys(["RunError", "SavedRun", "load_run", "save_run"], "ggwarp.results.saved_run")
+_HOME_OF["join"] = "ggwarp.map.gaussians"
 
 
 def __getattr__(name: str) -> Any:

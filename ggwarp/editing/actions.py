@@ -14,7 +14,7 @@ from ggwarp.editing import edits
 from ggwarp.editing.device import ready_device
 from ggwarp.editing.selection import SelectionConfig, select
 from ggwarp.geometry import se3
-from ggwarp.io.ply import PlyGaussians
+from ggwarp.map.gaussians import Gaussians, join
 from ggwarp.objects.inventory import ObjectRecord, centre_of
 from ggwarp.results.saved_run import RunError, SavedRun
 from ggwarp.types import Float64
@@ -62,7 +62,7 @@ def _remove(run: SavedRun, step: argparse.Namespace) -> SavedRun:
     return run.edited(left, {"edit": "remove", "ids": [r.id for r in records], "filled": added})
 
 
-def _without(run: SavedRun, chosen: Bools, step: argparse.Namespace) -> tuple[PlyGaussians, int]:
+def _without(run: SavedRun, chosen: Bools, step: argparse.Namespace) -> tuple[Gaussians, int]:
     """Return the map without ``chosen`` and, where holes are filled, how many Gaussians fill them."""
     left = edits.remove(run.gaussians, chosen)
     if not step.fill:
@@ -86,7 +86,7 @@ def _move(run: SavedRun, step: argparse.Namespace) -> SavedRun:
         # Its strays, which do not move along, would stay behind as crumbs.
         strays = argparse.Namespace(**{**vars(step), "cut_outliers": False})
         left, added = _without(run, chosen | chosen_gaussians(run, record, strays), step)
-        moved = edits.join(left, edits.extract(moved, chosen))
+        moved = join(left, edits.extract(moved, chosen))
         entry["filled"] = added
     return run.edited(moved, entry)
 

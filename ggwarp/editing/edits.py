@@ -9,48 +9,29 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ggwarp.geometry import se3
-from ggwarp.io.ply import PlyGaussians
-from ggwarp.map.gaussians import SH_C0
+from ggwarp.map.gaussians import SH_C0, Gaussians
 from ggwarp.objects.inventory import ObjectRecord
 from ggwarp.types import Float64
 
 Bools = NDArray[np.bool_]
 
 
-def extract(gaussians: PlyGaussians, selected: Bools) -> PlyGaussians:
+def extract(gaussians: Gaussians, selected: Bools) -> Gaussians:
     """Return the selected Gaussians alone."""
-    rows: dict[str, Any] = {n: None if a is None else a[selected] for n, a in vars(gaussians).items()}
-    return PlyGaussians(**rows)
+    return gaussians.take(selected)
 
 
-def remove(gaussians: PlyGaussians, selected: Bools) -> PlyGaussians:
+def remove(gaussians: Gaussians, selected: Bools) -> Gaussians:
     """Return the map without the selected Gaussians."""
-    return extract(gaussians, ~selected)
+    return gaussians.take(~selected)
 
 
-def join(first: PlyGaussians, *others: PlyGaussians) -> PlyGaussians:
-    """Return the Gaussians of all maps, in this order.
-
-    Raises:
-        ValueError: one has object ids or identities and another has not.
-    """
-    arrays: dict[str, Any] = {}
-    for name in vars(first):
-        parts = [getattr(gaussians, name) for gaussians in (first, *others)]
-        missing = [part is None for part in parts]
-        if any(missing) and not all(missing):
-            raise ValueError(f"only some of the maps have {name}")
-        arrays[name] = None if missing[0] else np.concatenate(parts)
-    return PlyGaussians(**arrays)
-
-
-def move(gaussians: PlyGaussians, selected: Bools, T: ArrayLike) -> PlyGaussians:
+def move(gaussians: Gaussians, selected: Bools, T: ArrayLike) -> Gaussians:
     """Return the map with the selected Gaussians moved by the rigid motion ``T`` [4, 4], world frame.
 
     Moving by ``T`` and then by its inverse gives the same map to float precision (a rotation by 180
@@ -73,7 +54,7 @@ def motion_about(centre: ArrayLike, *, rotation: ArrayLike, translation: ArrayLi
     return T
 
 
-def recolour(gaussians: PlyGaussians, selected: Bools, rgb: Sequence[float]) -> PlyGaussians:
+def recolour(gaussians: Gaussians, selected: Bools, rgb: Sequence[float]) -> Gaussians:
     """Return the map with the selected Gaussians in the colour ``rgb`` (0..255), light and shade kept.
 
     Each takes on ``rgb`` times its brightness over the mean brightness of all selected.

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
-from ggwarp.io.ply import PlyGaussians
-from ggwarp.map.gaussians import SH_C0, GaussianBatch, GaussianMap
+from ggwarp.map.gaussian_map import GaussianMap
+from ggwarp.map.gaussians import SH_C0, Gaussians
 from ggwarp.map.renderer import Renderer
 from ggwarp.runtime.streams import to_host
 from ggwarp.types import Float32, Float64, Rendered
@@ -26,20 +26,14 @@ _CUT = 0.25  # what a view counts that cuts the object
 _APART = 0.25  # metres plus radians between chosen views
 
 
-def batch_of(gaussians: PlyGaussians) -> GaussianBatch:
-    """Return ``gaussians`` as a map without identities takes them."""
-    g = gaussians
-    return GaussianBatch(g.means, g.quats, g.log_scales, g.opacity_logits, g.colours)
-
-
 class MapView:
     """Renders one map, without identities, for one camera."""
 
-    def __init__(self, gaussians: PlyGaussians, camera: Camera, *, device: Any = "cpu") -> None:
+    def __init__(self, gaussians: Gaussians, camera: Camera, *, device: Any = "cpu") -> None:
         """Upload ``gaussians`` to ``device``."""
         self.camera = camera
         self._map = GaussianMap(device=device, has_identity=False, capacity=max(1, len(gaussians)))
-        self._map.append(batch_of(gaussians))
+        self._map.append(gaussians)
         self._renderer = Renderer(self._map, camera)
         self._painted = wp.zeros_like(self._map.fields["colours"])
 

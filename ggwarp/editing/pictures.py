@@ -87,7 +87,7 @@ def write_extract(run: SavedRun, record: ObjectRecord, step: argparse.Namespace,
     _free([ply, *files])
     alone = extract(run.gaussians, chosen)
     folder.mkdir(parents=True, exist_ok=True)
-    write_ply(ply, **vars(alone))
+    write_ply(ply, alone)
     camera = run.camera.scaled(_ZOOM)
     view = MapView(alone, camera, device=device)
     for path, index in zip(files, indices, strict=True):

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggwarp.geometry.boxes import main_parts
-from ggwarp.io.ply import PlyGaussians
+from ggwarp.map.gaussians import Gaussians
 from ggwarp.objects.linear_classifier import LinearClassifier
 from ggwarp.types import Float32
 
@@ -45,7 +45,7 @@ class SelectionConfig:
 
 
 def select(
-    gaussians: PlyGaussians,
+    gaussians: Gaussians,
     object_id: int,
     config: SelectionConfig = SelectionConfig(),
     *,
@@ -75,7 +75,7 @@ def select(
     return chosen | adopted
 
 
-def orphans(gaussians: PlyGaussians, chosen: Bools) -> Bools:
+def orphans(gaussians: Gaussians, chosen: Bools) -> Bools:
     """Return [n] the Gaussians close to the ``chosen`` that are far from all others of their own id.
 
     A mask and a depth image disagree by a pixel at an object's outline: Gaussians seeded there lie on the

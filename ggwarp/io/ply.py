@@ -9,7 +9,6 @@ viewers skip. Binary, little-endian.
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ggwarp.io.atomic import atomic_write
+from ggwarp.map.gaussians import Gaussians
 from ggwarp.types import Float32
 
 IDENTITY_SIZE = 16
@@ -44,43 +44,8 @@ class PlyError(ValueError):
     """A PLY file cannot be used: one line with the file, what is wrong and the remedy."""
 
 
-@dataclass(frozen=True)
-class PlyGaussians:
-    """The Gaussians of a PLY file.
-
-    Attributes:
-        means: [n, 3] float32 positions, world frame, metres.
-        quats: [n, 4] float32 rotations, w first; as stored, not necessarily unit.
-        log_scales: [n, 3] float32 logarithms of the standard deviations in metres.
-        opacity_logits: [n] float32.
-        colours: [n, 3] float32 spherical-harmonics coefficients of degree 0.
-        object_ids: [n] int32, 0 = none; None where the file has none.
-        identities: [n, 16] float32; None where the file has none.
-    """
-
-    means: Float32
-    quats: Float32
-    log_scales: Float32
-    opacity_logits: Float32
-    colours: Float32
-    object_ids: NDArray[np.int32] | None = None
-    identities: Float32 | None = None
-
-    def __len__(self) -> int:
-        return len(self.means)
-
-
-def write_ply(
-    path: str | Path,
-    means: ArrayLike,
-    quats: ArrayLike,
-    log_scales: ArrayLike,
-    opacity_logits: ArrayLike,
-    colours: ArrayLike,
-    object_ids: ArrayLike | None = None,
-    identities: ArrayLike | None = None,
-) -> None:
-    """Write Gaussians (see :class:`PlyGaussians`); nothing is left half-written.
+def write_ply(path: str | Path, gaussians: Gaussians) -> None:
+    """Write ``gaussians``; nothing is left half-written.
 
     Rotations are normalised on the way: not every viewer does.
 
@@ -88,25 +53,26 @@ def write_ply(
         OSError: the file cannot be written.
         ValueError: the arrays' shapes do not fit together.
     """
-    quats = np.asarray(quats, np.float64)
+    g = gaussians
+    quats = np.asarray(g.quats, np.float64)
     length = np.linalg.norm(quats, axis=1, keepdims=True)
     unit = np.divide(quats, length, out=np.tile([1.0, 0.0, 0.0, 0.0], (len(quats), 1)), where=length > 0.0)
-    columns = {"means": means, "colours": colours, "opacity_logits": opacity_logits}
-    columns |= {"log_scales": log_scales, "quats": unit}
+    columns = {"means": g.means, "colours": g.colours, "opacity_logits": g.opacity_logits}
+    columns |= {"log_scales": g.log_scales, "quats": unit}
     fields = [(name, "<f4") for name in (*_GROUPS["means"], *_NORMAL)]
     fields += [(name, "<f4") for group in list(_GROUPS)[1:] for name in _GROUPS[group]]
-    if object_ids is not None:
+    if g.object_ids is not None:
         fields.append(("object_id", "<i4"))
-    if identities is not None:
+    if g.identities is not None:
         fields += [(name, "<f4") for name in _IDENTITY]
     count = len(quats)
     table = np.zeros(count, np.dtype(fields))
     for group, values in columns.items():
         _fill(table, _GROUPS[group], values, group)
-    if object_ids is not None:
-        _fill(table, ("object_id",), object_ids, "object_ids")
-    if identities is not None:
-        _fill(table, _IDENTITY, identities, "identities")
+    if g.object_ids is not None:
+        _fill(table, ("object_id",), g.object_ids, "object_ids")
+    if g.identities is not None:
+        _fill(table, _IDENTITY, g.identities, "identities")
     lines = ["ply", "format binary_little_endian 1.0", "comment ggwarp", f"element vertex {count}"]
     lines += [f"property {_NAMES[kind]} {name}" for name, kind in fields] + ["end_header\n"]
     with atomic_write(path) as file:
@@ -114,7 +80,7 @@ def write_ply(
         file.write(table.tobytes())
 
 
-def read_ply(path: str | Path) -> PlyGaussians:
+def read_ply(path: str | Path) -> Gaussians:
     """Read Gaussians written by us or by any program that keeps the 3DGS layout.
 
     Higher spherical harmonics (``f_rest_*``), normals and unknown properties are ignored.
@@ -136,7 +102,7 @@ def read_ply(path: str | Path) -> PlyGaussians:
         table = np.frombuffer(file.read(need), dtype, count)
     names = dtype.names or ()
     groups = {group: _gather(table, properties) for group, properties in _GROUPS.items()}
-    return PlyGaussians(
+    return Gaussians(
         means=groups["means"],
         quats=groups["quats"],
         log_scales=groups["log_scales"],

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ggwarp.geometry.camera import Camera
 from ggwarp.kernels.raster.covisibility import flag_seen
-from ggwarp.map.gaussians import GaussianMap
+from ggwarp.map.gaussian_map import GaussianMap
 from ggwarp.map.renderer import Renderer
 from ggwarp.runtime.streams import to_host
 from ggwarp.types import Float64

@@ -10,7 +10,7 @@ import warp as wp
 
 from ggwarp.kernels.identity.random import draw_points
 from ggwarp.kernels.registration.hash_grid import allocate_hash_grid, build_hash_grid, find_k_nearest
-from ggwarp.map.gaussians import GaussianMap
+from ggwarp.map.gaussian_map import GaussianMap
 from ggwarp.runtime.streams import to_host
 
 _SAMPLE = 10_000

@@ -19,7 +19,7 @@ from ggwarp.kernels.raster.sampling import Sample
 from ggwarp.kernels.raster.tiles import TILE, TileCapacityError, bin_splats
 from ggwarp.kernels.raster.tiles_parallel import PEAK
 from ggwarp.kernels.workspaces import allocate_slot_gradients, allocate_splats, allocate_tiles
-from ggwarp.map.gaussians import PARAMETERS, GaussianMap
+from ggwarp.map.gaussian_map import PARAMETERS, GaussianMap
 from ggwarp.runtime.streams import to_host
 from ggwarp.types import Float32, Float64
 

@@ -19,7 +19,8 @@ from ggwarp.kernels.math import vec16
 from ggwarp.kernels.optim.adam import adam_classifier
 from ggwarp.kernels.raster.sampling import Sample
 from ggwarp.kernels.workspaces import allocate_identity, allocate_neighbours
-from ggwarp.map.gaussians import SH_C0, GaussianMap
+from ggwarp.map.gaussian_map import GaussianMap
+from ggwarp.map.gaussians import SH_C0
 from ggwarp.map.neighbourhood import Neighbourhood
 from ggwarp.map.renderer import Renderer
 from ggwarp.runtime.streams import to_host

@@ -25,7 +25,7 @@ from ggwarp.geometry.camera import Camera
 from ggwarp.kernels.identity.label_fusion import fuse_labels, gather_evidence
 from ggwarp.kernels.math import vec16
 from ggwarp.kernels.raster.project import intrinsics_of
-from ggwarp.map.gaussians import GaussianMap
+from ggwarp.map.gaussian_map import GaussianMap
 from ggwarp.objects.association import AssociatedMask, AssociationConfig, SegmentAssociation
 from ggwarp.objects.class_table import IGNORED, NO_OBJECT, ClassTable
 from ggwarp.objects.classifier import Classifier

@@ -20,7 +20,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ggwarp.geometry.camera import Camera
-from ggwarp.io.ply import PlyGaussians
+from ggwarp.map.gaussians import Gaussians
 from ggwarp.map.renderer import Renderer
 from ggwarp.objects.inventory import ObjectRecord
 from ggwarp.objects.linear_classifier import LinearClassifier
@@ -270,7 +270,7 @@ class Slam:
         """Frames whose mask voted for the map's objects, though they were not mapped."""
         return self._mapper.voting_indices
 
-    def map_arrays(self) -> PlyGaussians:
+    def map_arrays(self) -> Gaussians:
         """Return the map on the host, with object ids."""
         return self._mapper.export()
 

@@ -19,9 +19,10 @@ from typing import Any, Protocol
 from ggwarp.geometry.camera import Camera
 from ggwarp.io.camera import write_camera
 from ggwarp.io.json import write_json
-from ggwarp.io.ply import PlyGaussians, write_ply
+from ggwarp.io.ply import write_ply
 from ggwarp.io.table import write_table
 from ggwarp.io.trajectory import write_tum
+from ggwarp.map.gaussians import Gaussians
 from ggwarp.objects.inventory import ObjectRecord
 from ggwarp.objects.linear_classifier import LinearClassifier, write_classifier
 from ggwarp.results.metrics import ate_per_frame
@@ -126,10 +127,10 @@ def write_trajectories(folder: Path, record: RunRecord) -> None:
 
 
 def write_map(
-    folder: Path, gaussians: PlyGaussians, objects: list[ObjectRecord], classifier: LinearClassifier | None
+    folder: Path, gaussians: Gaussians, objects: list[ObjectRecord], classifier: LinearClassifier | None
 ) -> None:
     """Write ``map.ply``, ``objects.json`` and, where there are identities, ``classifier.npz``."""
-    write_ply(folder / "map.ply", **vars(gaussians))
+    write_ply(folder / "map.ply", gaussians)
     write_json(folder / "objects.json", {"objects": [record.to_json() for record in objects]})
     if classifier is not None:
         write_classifier(folder / "classifier.npz", classifier)
@@ -142,7 +143,7 @@ class System(Protocol):
     camera: Camera
 
     def fitted_poses(self) -> dict[int, Float64]: ...
-    def map_arrays(self) -> PlyGaussians: ...
+    def map_arrays(self) -> Gaussians: ...
     def objects(self, names: dict[int, str]) -> list[ObjectRecord]: ...
     def linear_classifier(self) -> LinearClassifier | None: ...
 

@@ -13,8 +13,9 @@ from typing import Any
 from ggwarp.geometry.camera import Camera
 from ggwarp.io.camera import read_camera, write_camera
 from ggwarp.io.json import write_json
-from ggwarp.io.ply import PlyGaussians, read_ply, write_ply
+from ggwarp.io.ply import read_ply, write_ply
 from ggwarp.io.trajectory import read_tum
+from ggwarp.map.gaussians import Gaussians
 from ggwarp.objects.inventory import ObjectRecord, inventory, refreshed
 from ggwarp.objects.linear_classifier import LinearClassifier, read_classifier, write_classifier
 from ggwarp.types import Float64
@@ -42,7 +43,7 @@ class SavedRun:
     """
 
     folder: Path
-    gaussians: PlyGaussians
+    gaussians: Gaussians
     objects: tuple[ObjectRecord, ...]
     camera: Camera
     poses: Float64
@@ -68,7 +69,7 @@ class SavedRun:
                 raise RunError(f"{name}: {len(matches)} objects have this name; give one of the ids {ids}")
         raise RunError(f"{name}: {self.folder} has no such object; `list` shows those there are")
 
-    def edited(self, gaussians: PlyGaussians, edit: dict[str, Any]) -> SavedRun:
+    def edited(self, gaussians: Gaussians, edit: dict[str, Any]) -> SavedRun:
         """Return this run with ``gaussians`` for a map, its objects described anew, and ``edit`` recorded."""
         objects = refreshed(list(self.objects), gaussians.means, gaussians.colours, gaussians.object_ids)
         return dataclasses.replace(
@@ -121,7 +122,7 @@ def save_run(run: SavedRun, folder: str | Path) -> None:
         if (run.folder / name).is_file():
             shutil.copyfile(run.folder / name, folder / name)
     write_camera(folder / "camera.json", run.camera)
-    write_ply(folder / "map.ply", **vars(run.gaussians))
+    write_ply(folder / "map.ply", run.gaussians)
     if run.classifier is not None:
         write_classifier(folder / "classifier.npz", run.classifier)
     entries = [record.to_json() for record in run.objects]

@@ -9,9 +9,9 @@ import pytest
 from ggwarp.geometry.camera import Camera
 from ggwarp.io.camera import write_camera
 from ggwarp.io.json import write_json
-from ggwarp.io.ply import PlyGaussians, write_ply
+from ggwarp.io.ply import write_ply
 from ggwarp.io.trajectory import write_tum
-from ggwarp.map.gaussians import SH_C0
+from ggwarp.map.gaussians import SH_C0, Gaussians
 from ggwarp.objects.inventory import inventory
 
 CAMERA = Camera(96, 64, 80.0, 80.0, 47.5, 31.5)
@@ -31,7 +31,7 @@ def _cube(centre: tuple[float, float, float], half: float) -> np.ndarray:
 
 
 @pytest.fixture(scope="session")
-def scene() -> PlyGaussians:
+def scene() -> Gaussians:
     wall = np.insert(_grid(50, 1.5), 2, 3.0, axis=1)
     red, green = _cube((-0.3, 0.0, 2.0), 0.2), _cube((0.5, 0.1, 2.2), 0.15)
     means = np.concatenate([wall, red, green]).astype(np.float32)
@@ -39,7 +39,7 @@ def scene() -> PlyGaussians:
     paint = {1: [0.5, 0.5, 0.6], 5: [0.9, 0.1, 0.1], 8: [0.1, 0.8, 0.2]}
     colours = np.array([paint[i] for i in ids.tolist()])
     n = len(means)
-    return PlyGaussians(
+    return Gaussians(
         means,
         np.tile(np.float32([1, 0, 0, 0]), (n, 1)),
         np.full((n, 3), np.log(0.03), np.float32),
@@ -51,12 +51,12 @@ def scene() -> PlyGaussians:
 
 
 @pytest.fixture
-def run_folder(scene: PlyGaussians, tmp_path: Path) -> Path:
+def run_folder(scene: Gaussians, tmp_path: Path) -> Path:
     folder = tmp_path / "run"
     folder.mkdir()
     names = {1: "wall", 5: "cube", 8: "cube"}
     records = inventory(scene.means, scene.colours, scene.object_ids, names=names)
-    write_ply(folder / "map.ply", **vars(scene))
+    write_ply(folder / "map.ply", scene)
     write_json(folder / "objects.json", {"objects": [r.to_json() for r in records]})
     write_camera(folder / "camera.json", CAMERA)
     poses = [np.eye(4) for _ in range(5)]

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import subprocess
 import sys
@@ -43,7 +44,7 @@ def test_an_object_moved_with_its_hole_filled_leaves_no_crumbs(run_folder):
     assert gaussians.object_ids is not None
     stray = np.nonzero(np.linalg.norm(gaussians.means - [1.2, 1.2, 3.0], axis=1).argsort().argsort() < 2)[0]
     gaussians.object_ids[stray] = 5
-    write_ply(run_folder / "map.ply", **vars(gaussians))
+    write_ply(run_folder / "map.ply", gaussians)
     out = run_folder / "moved"
     where = ["--translate", "0.2", "-0.6", "0", "--no-adopt", "--fill", "--device", "cpu"]
     assert main([str(run_folder), "move", "5", *where, "--out", str(out)]) == 0
@@ -91,7 +92,7 @@ def test_move_and_move_back(run_folder):
     assert main([str(one), *back, "--out", str(two)]) == 0
     a, b, c = (load_run(f).gaussians for f in (run_folder, one, two))
     assert np.abs(a.means - b.means).max() > 0.2
-    for name, before in vars(a).items():
+    for name, before in a.arrays().items():
         np.testing.assert_allclose(getattr(c, name), before, rtol=0, atol=1e-6, err_msg=name)
 
 
@@ -155,7 +156,7 @@ def test_a_damaged_folder_ends_in_one_line(run_folder, capsys, file, text, messa
 
 def test_a_map_without_objects_cannot_be_edited(run_folder, capsys):
     gaussians = read_ply(run_folder / "map.ply")
-    write_ply(run_folder / "map.ply", **(vars(gaussians) | {"object_ids": None}))
+    write_ply(run_folder / "map.ply", dataclasses.replace(gaussians, object_ids=None))
     assert main([str(run_folder), "list"]) == 2
     assert "its map knows no objects; run the sequence with masks" in capsys.readouterr().err
 

@@ -5,14 +5,14 @@ import numpy as np
 import pytest
 
 from ggwarp.editing.selection import SelectionConfig, orphans, select
-from ggwarp.io.ply import PlyGaussians
+from ggwarp.map.gaussians import Gaussians
 from ggwarp.objects.linear_classifier import LinearClassifier
 
 BY_ID = SelectionConfig(adopt=False)
 
 
 @pytest.fixture
-def gaussians(rng) -> PlyGaussians:
+def gaussians(rng) -> Gaussians:
     """A cube of object 5, two of its strays, and 0 elsewhere, also within the cube."""
     inside, around = rng.uniform(0, 1, (300, 3)), rng.uniform(-4, 4, (300, 3))
     means = np.concatenate([inside, around]).astype(np.float32)
@@ -20,7 +20,7 @@ def gaussians(rng) -> PlyGaussians:
     ids = np.repeat([5, 0], 300).astype(np.int32)
     ids[:20] = 0
     n = len(means)
-    return PlyGaussians(
+    return Gaussians(
         means,
         np.tile(np.float32([1, 0, 0, 0]), (n, 1)),
         np.zeros((n, 3), np.float32),
@@ -73,8 +73,8 @@ def test_orphans_are_adopted(gaussians):
     bits, wall, near = board[::10] + shifts[0], board + shifts[1], board + shifts[2]
     means = np.concatenate([board, bits, wall, near, np.full((1, 3), 7.0)])
     ids = np.repeat([5, 9, 9, 7, 0], [100, 10, 100, 100, 1]).astype(np.int32)
-    rows = {name: array[: len(ids)] for name, array in vars(gaussians).items()}
-    map_ = PlyGaussians(**{**rows, "means": means.astype(np.float32), "object_ids": ids})
+    rows = {name: array[: len(ids)] for name, array in gaussians.arrays().items()}
+    map_ = Gaussians(**{**rows, "means": means.astype(np.float32), "object_ids": ids})
     found = orphans(map_, ids == 5)
     assert found[100:110].all() and found.sum() == 10  # not the neighbour, which touches
     np.testing.assert_array_equal(select(map_, 5), (ids == 5) | found)

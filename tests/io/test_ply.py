@@ -10,6 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from ggwarp.io.ply import PlyError, read_ply, write_ply
+from ggwarp.map.gaussians import Gaussians
 
 STANDARD = (
     "x y z nx ny nz f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3".split()
@@ -55,7 +56,7 @@ def standard_file(path: Path, n: int, *, rest: int = 45, order: str = "<") -> di
 
 def test_what_is_written_is_read_back(tmp_path: Path, rng: np.random.Generator) -> None:
     gaussians = random_gaussians(rng, 50)
-    write_ply(tmp_path / "map.ply", **gaussians)
+    write_ply(tmp_path / "map.ply", Gaussians(**gaussians))
     read = read_ply(tmp_path / "map.ply")
     assert len(read) == 50
     for name, values in gaussians.items():
@@ -66,7 +67,7 @@ def test_what_is_written_is_read_back(tmp_path: Path, rng: np.random.Generator) 
 
 def test_the_layout_is_that_of_3dgs(tmp_path: Path, rng: np.random.Generator) -> None:
     gaussians = random_gaussians(rng, 7)
-    write_ply(tmp_path / "map.ply", **gaussians)
+    write_ply(tmp_path / "map.ply", Gaussians(**gaussians))
     rows = parse_by_hand(tmp_path / "map.ply")
     assert list(rows[0]) == [*STANDARD, "object_id", *(f"id_{i}" for i in range(16))]
     for i, row in enumerate(rows):
@@ -89,7 +90,7 @@ def test_the_layout_is_that_of_3dgs(tmp_path: Path, rng: np.random.Generator) ->
 def test_without_objects_there_are_no_object_fields(tmp_path: Path, rng: np.random.Generator) -> None:
     gaussians = random_gaussians(rng, 3)
     del gaussians["object_ids"], gaussians["identities"]
-    write_ply(tmp_path / "map.ply", **gaussians)
+    write_ply(tmp_path / "map.ply", Gaussians(**gaussians))
     assert list(parse_by_hand(tmp_path / "map.ply")[0]) == STANDARD
     read = read_ply(tmp_path / "map.ply")
     assert read.object_ids is None and read.identities is None
@@ -99,14 +100,14 @@ def test_without_objects_there_are_no_object_fields(tmp_path: Path, rng: np.rand
 @given(n=st.integers(0, 40))
 def test_any_number_of_gaussians(tmp_path: Path, n: int) -> None:
     gaussians = random_gaussians(np.random.default_rng(n), n)
-    write_ply(tmp_path / "map.ply", **gaussians)
+    write_ply(tmp_path / "map.ply", Gaussians(**gaussians))
     np.testing.assert_array_equal(read_ply(tmp_path / "map.ply").means, gaussians["means"])
 
 
 def test_rotations_are_normalised_and_zero_becomes_identity(tmp_path: Path, rng: np.random.Generator) -> None:
     gaussians = random_gaussians(rng, 2)
     gaussians["quats"] = np.array([[0, 3, 0, 4], [0, 0, 0, 0]], np.float32)
-    write_ply(tmp_path / "map.ply", **gaussians)
+    write_ply(tmp_path / "map.ply", Gaussians(**gaussians))
     np.testing.assert_allclose(
         read_ply(tmp_path / "map.ply").quats, [[0, 0.6, 0, 0.8], [1, 0, 0, 0]], atol=1e-7
     )
@@ -126,7 +127,7 @@ def test_files_of_other_trainers(tmp_path: Path, order: str, rest: int) -> None:
 
 def test_elements_after_the_vertices_are_skipped(tmp_path: Path, rng: np.random.Generator) -> None:
     gaussians = random_gaussians(rng, 4)
-    write_ply(tmp_path / "map.ply", **gaussians)
+    write_ply(tmp_path / "map.ply", Gaussians(**gaussians))
     data = (tmp_path / "map.ply").read_bytes()
     faces = b"element face 1\nproperty list uchar int vertex_indices\nend_header\n"
     (tmp_path / "map.ply").write_bytes(data.replace(b"end_header\n", faces) + struct.pack("<B3i", 3, 0, 1, 2))
@@ -160,7 +161,7 @@ def test_what_is_no_gaussian_map_is_refused_with_a_reason(tmp_path: Path, conten
 
 
 def test_a_truncated_file_is_refused(tmp_path: Path, rng: np.random.Generator) -> None:
-    write_ply(tmp_path / "map.ply", **random_gaussians(rng, 5))
+    write_ply(tmp_path / "map.ply", Gaussians(**random_gaussians(rng, 5)))
     (tmp_path / "map.ply").write_bytes((tmp_path / "map.ply").read_bytes()[:-1])
     with pytest.raises(PlyError, match=r"truncated: 5 Gaussians take 680 bytes, 679 are left"):
         read_ply(tmp_path / "map.ply")
@@ -172,5 +173,5 @@ def test_arrays_that_do_not_fit_are_refused_and_leave_no_file(
     gaussians = random_gaussians(rng, 5)
     gaussians["means"] = gaussians["means"][:4]
     with pytest.raises(ValueError, match="means has shape"):
-        write_ply(tmp_path / "map.ply", **gaussians)
+        write_ply(tmp_path / "map.ply", Gaussians(**gaussians))
     assert not list(tmp_path.iterdir())

@@ -5,17 +5,18 @@ import numpy as np
 
 from ggwarp.geometry.camera import Camera
 from ggwarp.map.covisibility import Covisibility, intersection_over_union, overlap_coefficient
-from ggwarp.map.gaussians import GaussianBatch, GaussianMap
+from ggwarp.map.gaussian_map import GaussianMap
+from ggwarp.map.gaussians import Gaussians
 
 CAMERA = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
 
 
-def wall(depth: float, step: float, opacity: float) -> GaussianBatch:
+def wall(depth: float, step: float, opacity: float) -> Gaussians:
     x, y = np.meshgrid(np.arange(-0.4, 0.4, step), np.arange(-0.3, 0.3, step))
     means = np.stack([x, y, np.ones_like(x)], -1).reshape(-1, 3) * depth
     n = len(means)
     size = 0.8 * step * depth
-    return GaussianBatch(
+    return Gaussians(
         means.astype(np.float32),
         np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1)),
         np.tile(np.log(np.array([size, size, 1e-3], np.float32)), (n, 1)),

@@ -1,68 +1,47 @@
 # SPDX-License-Identifier: Apache-2.0
+import subprocess
+import sys
+
 import numpy as np
 import pytest
-import warp as wp
 
-from ggwarp.map.gaussians import GaussianBatch, GaussianMap
+from ggwarp.map.gaussians import Gaussians, join
 
 
-def batch(count: int, rng: np.random.Generator, *, identity: bool = True) -> GaussianBatch:
+def some(count: int, rng: np.random.Generator, **more: np.ndarray) -> Gaussians:
     def draw(*shape: int) -> np.ndarray:
         return rng.normal(size=(count, *shape)).astype(np.float32)
 
-    return GaussianBatch(draw(3), draw(4), draw(3), draw(), draw(3), draw(16) if identity else None)
+    return Gaussians(draw(3), draw(4), draw(3), draw(), draw(3), **more)
 
 
-def test_rows_stay_what_they_were_while_the_map_grows(device: str, rng: np.random.Generator) -> None:
-    gaussians = GaussianMap(device=device, has_identity=True, capacity=4)
-    first, second = batch(3, rng), batch(40, rng)
-
-    gaussians.append(first)
-    gaussians.append(second)
-
-    host = gaussians.to_host()
-    assert gaussians.count == 43 and gaussians.capacity >= 43
-    for name, rows in host.items():
-        assert (rows == np.concatenate([getattr(first, name), getattr(second, name)])).all()
-
-
-def test_new_rows_have_no_history(device: str, rng: np.random.Generator) -> None:
-    gaussians = GaussianMap(device=device, has_identity=False, capacity=8)
-    gaussians.append(batch(4, rng, identity=False))
-    gaussians.fields["steps"].fill_(7)
-    gaussians.keep(wp.array([1, 1, 0, 0], dtype=int, device=device))
-    gaussians.append(batch(2, rng, identity=False))
-    assert gaussians.fields["steps"].numpy()[:4].tolist() == [7, 7, 0, 0]
+def test_rows_are_taken_by_flag_and_by_number(rng: np.random.Generator) -> None:
+    gaussians = some(4, rng, object_ids=np.arange(4, dtype=np.int32))
+    assert set(gaussians.arrays()) == {
+        *("means", "quats", "log_scales", "opacity_logits", "colours", "object_ids")
+    }
+    flagged = gaussians.take(np.array([True, False, False, True]))
+    numbered = gaussians.take(np.array([3, 0, 3]))
+    for name, rows in gaussians.arrays().items():
+        np.testing.assert_array_equal(getattr(flagged, name), rows[[0, 3]])
+        np.testing.assert_array_equal(getattr(numbered, name), rows[[3, 0, 3]])
+    assert numbered.identities is None and len(numbered) == 3 and len(gaussians.take(np.zeros(4, bool))) == 0
 
 
-def test_keep_drops_rows_and_moments_together(device: str, rng: np.random.Generator) -> None:
-    gaussians = GaussianMap(device=device, has_identity=True, capacity=8)
-    rows = batch(5, rng)
-    gaussians.append(rows)
-    gaussians.fields["steps"].assign(np.arange(8, dtype=np.int32))
-    before = gaussians.version
-
-    dropped = gaussians.keep(wp.array([1, 0, 0, 1, 1], dtype=int, device=device))
-
-    assert dropped == 2 and gaussians.count == 3 and gaussians.version > before
-    assert (gaussians.to_host()["means"] == rows.means[[0, 3, 4]]).all()
-    assert gaussians.fields["steps"].numpy()[:3].tolist() == [0, 3, 4]
+def test_joined_they_keep_their_order(rng: np.random.Generator) -> None:
+    first, second = (some(n, rng, votes=np.full(n, n, np.int32)) for n in (2, 3))
+    both = join(first, second)
+    np.testing.assert_array_equal(both.means, np.concatenate([first.means, second.means]))
+    assert both.votes is not None and both.votes.tolist() == [2, 2, 3, 3, 3]
+    np.testing.assert_array_equal(join(first).quats, first.quats)
 
 
-@pytest.mark.parametrize("flags", [[0, 0, 0], [1, 1, 1]])
-def test_keeping_none_or_all(flags: list[int], device: str, rng: np.random.Generator) -> None:
-    gaussians = GaussianMap(device=device, has_identity=False)
-    gaussians.append(batch(3, rng, identity=False))
-    gaussians.keep(wp.array(flags, dtype=int, device=device))
-    assert gaussians.count == sum(flags)
+def test_maps_that_know_different_things_are_not_joined(rng: np.random.Generator) -> None:
+    with pytest.raises(ValueError, match="only some of the maps have votes"):
+        join(some(2, rng), some(2, rng, votes=np.zeros(2, np.int32)))
 
 
-def test_an_empty_batch_changes_nothing(device: str, rng: np.random.Generator) -> None:
-    gaussians = GaussianMap(device=device, has_identity=False)
-    gaussians.append(batch(0, rng, identity=False))
-    assert gaussians.count == gaussians.version == 0
-
-
-def test_identities_must_come_where_the_map_has_them(device: str, rng: np.random.Generator) -> None:
-    with pytest.raises(ValueError, match="identities"):
-        GaussianMap(device=device, has_identity=True).append(batch(2, rng, identity=False))
+def test_reading_a_map_loads_no_kernels() -> None:
+    code = "import sys, ggwarp.io.ply; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not set(done.stdout.split()) & {"warp", "torch", "cv2"}

@@ -6,7 +6,8 @@ import warp as wp
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
-from ggwarp.map.gaussians import PARAMETERS, GaussianBatch, GaussianMap
+from ggwarp.map.gaussian_map import PARAMETERS, GaussianMap
+from ggwarp.map.gaussians import Gaussians
 from ggwarp.map.renderer import Renderer
 from ggwarp.ops.reference.render import render as reference_render
 from ggwarp.runtime.graphs import GraphCache
@@ -14,19 +15,19 @@ from ggwarp.runtime.graphs import GraphCache
 CAMERA = Camera(50, 37, 45.0, 44.0, 24.0, 19.0)
 
 
-def scene(count: int, rng: np.random.Generator) -> GaussianBatch:
+def scene(count: int, rng: np.random.Generator) -> Gaussians:
     means = rng.uniform([-0.6, -0.5, 1.0], [0.6, 0.5, 2.0], (count, 3)).astype(np.float32)
-    return GaussianBatch(
+    return Gaussians(
         means,
         rng.normal(size=(count, 4)).astype(np.float32),
         np.log(rng.uniform(0.02, 0.1, (count, 3))).astype(np.float32),
         rng.normal(size=count).astype(np.float32),
         rng.normal(size=(count, 3)).astype(np.float32),
-        rng.normal(size=(count, 16)).astype(np.float32),
+        identities=rng.normal(size=(count, 16)).astype(np.float32),
     )
 
 
-def made(device: str, rows: GaussianBatch) -> tuple[GaussianMap, Renderer]:
+def made(device: str, rows: Gaussians) -> tuple[GaussianMap, Renderer]:
     gaussians = GaussianMap(device=device, has_identity=True, capacity=16)
     renderer = Renderer(gaussians, CAMERA)
     gaussians.append(rows)
@@ -96,7 +97,7 @@ def test_arrays_without_padding_have_the_camera_s_size(device: str) -> None:
     assert wp.get_device(device) == renderer.image.device
 
 
-def faint_scene(count: int, rng: np.random.Generator) -> GaussianBatch:
+def faint_scene(count: int, rng: np.random.Generator) -> Gaussians:
     """Well separated in depth and faint: no pixel is near a threshold of alpha or of the transmittance."""
     z = 1.0 + 0.07 * rng.permutation(count)
     xy = rng.uniform(-0.3, 0.3, (count, 2)) * z[:, None]

@@ -4,7 +4,8 @@ import warp as wp
 
 from ggwarp.geometry.camera import Camera
 from ggwarp.kernels.losses.rgbd import LOSS_COUNT, OBJECT, OBJECT_3D
-from ggwarp.map.gaussians import GaussianBatch, GaussianMap
+from ggwarp.map.gaussian_map import GaussianMap
+from ggwarp.map.gaussians import Gaussians
 from ggwarp.map.neighbourhood import Neighbourhood
 from ggwarp.map.renderer import Renderer
 from ggwarp.objects.classifier import Classifier, ClassifierConfig
@@ -12,19 +13,19 @@ from ggwarp.objects.classifier import Classifier, ClassifierConfig
 CAMERA = Camera(48, 32, 40.0, 40.0, 23.5, 15.5)
 
 
-def wall(identities: np.ndarray, rng: np.random.Generator) -> GaussianBatch:
+def wall(identities: np.ndarray, rng: np.random.Generator) -> Gaussians:
     """Opaque Gaussians on the plane z = 1; left half: identities[0], right half: identities[1]."""
     x, y = np.meshgrid(np.linspace(-0.7, 0.7, 40), np.linspace(-0.5, 0.5, 30))
     n = x.size
     means = np.stack([x.ravel(), y.ravel(), np.ones(n)], axis=1).astype(np.float32)
     side = (means[:, 0] > 0).astype(int)
-    return GaussianBatch(
+    return Gaussians(
         means,
         np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1)),
         np.full((n, 3), np.log(0.02), np.float32),
         np.full(n, 3.0, np.float32),
         rng.normal(size=(n, 3)).astype(np.float32),
-        identities[side].astype(np.float32),
+        identities=identities[side].astype(np.float32),
     )
 
 
@@ -44,7 +45,7 @@ def test_gaussians_with_their_class_s_code_are_classified_at_once(
     renderer.forward(renderer.pose_array(np.eye(4)))
     picture, probability = classifier.classify_image(renderer.image, CAMERA.height, CAMERA.width)
 
-    side = gaussians.to_host()["means"][:, 0] > 0
+    side = gaussians.to_host().means[:, 0] > 0
     assert (labels == np.where(side, 31, 7)).all() and (probabilities > 0.9).all()
     assert (picture[:, 2:22] == 7).all() and (picture[:, 26:-2] == 31).all()
     assert (probability[:, 2:22] > 0.9).all() and probability.max() <= 1.0
@@ -109,7 +110,7 @@ def test_neighbours_are_the_nearest(device: str, rng: np.random.Generator) -> No
         gaussians.append(wall(rng.normal(size=(2, 16)), rng))
         gaussians.fields["means"].assign(rng.normal(size=(gaussians.capacity, 3)).astype(np.float32))
         neighbourhood.draw()
-        means = gaussians.to_host()["means"].astype(np.float64)
+        means = gaussians.to_host().means.astype(np.float64)
         samples, found = neighbourhood.samples.numpy(), neighbourhood.neighbours.numpy()
         distances = np.linalg.norm(means[samples][:, None] - means[None], axis=2)
         nearest = np.sort(distances, axis=1)[:, :4]

@@ -3,7 +3,8 @@ import numpy as np
 import pytest
 from scipy.special import softmax
 
-from ggwarp.map.gaussians import GaussianBatch, GaussianMap
+from ggwarp.map.gaussian_map import GaussianMap
+from ggwarp.map.gaussians import Gaussians
 from ggwarp.objects.classifier import Classifier, ClassifierConfig, random_identities
 from ggwarp.objects.linear_classifier import LinearClassifier, read_classifier, write_classifier
 
@@ -14,7 +15,9 @@ def test_probabilities_are_the_classifiers_own(device, rng, tmp_path):
     gaussians = GaussianMap(device=device, has_identity=True)
     zeros = np.zeros((n, 3), np.float32)
     identities = random_identities(n, rng)
-    gaussians.append(GaussianBatch(zeros, np.ones((n, 4), np.float32), zeros, zeros[:, 0], zeros, identities))
+    gaussians.append(
+        Gaussians(zeros, np.ones((n, 4), np.float32), zeros, zeros[:, 0], zeros, identities=identities)
+    )
     classifier = Classifier(ClassifierConfig(), gaussians, seed=1)
     classifier.grow(6)
     labels, probabilities = classifier.classify_map()

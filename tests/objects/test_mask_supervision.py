@@ -36,7 +36,7 @@ def mapped(device: str, frame: Frame, masks: list, **options) -> Mapper:
 def agreement(mapper: Mapper, frame: Frame, where: np.ndarray | None = None) -> float:
     """Return the share of Gaussians that belong to the object at whose pixels (``where``) they lie."""
     assert frame.T_wc is not None and frame.mask is not None
-    points = se3.transform_points(se3.inverse(frame.T_wc), mapper.map.to_host()["means"])
+    points = se3.transform_points(se3.inverse(frame.T_wc), mapper.map.to_host().means)
     c = OFFICE.camera
     columns = np.rint(points[:, 0] / points[:, 2] * c.fx + c.cx).astype(int)
     rows = np.rint(points[:, 1] / points[:, 2] * c.fy + c.cy).astype(int)
@@ -144,7 +144,7 @@ def test_contradictions_teach_nothing(device: str, frame: Frame) -> None:
 
 def test_twice_the_same_to_the_bit(device: str, frame: Frame) -> None:
     masks = [frame.mask, renamed(frame.mask, *largest(frame.mask)[:2]), None, frame.mask]
-    one, two = (mapped(device, frame, masks).map.to_host() for _ in range(2))
+    one, two = (mapped(device, frame, masks).map.to_host().arrays() for _ in range(2))
     for name, values in one.items():
         np.testing.assert_array_equal(values, two[name])
 

@@ -173,7 +173,7 @@ def test_beside_is_in_turn_to_the_bit(device: str) -> None:
         assert (a.T_wc == b.T_wc).all()
         for name in ("index", "keyframe", "overlap", "gaussians", "loss", "mapping_iterations"):
             assert getattr(a, name) == getattr(b, name), name
-    for name, values in vars(one.map_arrays()).items():
+    for name, values in one.map_arrays().arrays().items():
         np.testing.assert_array_equal(values, getattr(other.map_arrays(), name), err_msg=name)
 
 

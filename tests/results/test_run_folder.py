@@ -8,8 +8,9 @@ import pytest
 
 from ggwarp.evaluation.evaluate import Evaluation, FrameScore
 from ggwarp.evaluation.objects import ObjectRow
-from ggwarp.io.ply import PlyGaussians, read_ply
+from ggwarp.io.ply import read_ply
 from ggwarp.io.trajectory import read_tum
+from ggwarp.map.gaussians import Gaussians
 from ggwarp.objects.inventory import inventory
 from ggwarp.objects.linear_classifier import LinearClassifier, read_classifier
 from ggwarp.results import run_folder
@@ -72,7 +73,7 @@ def test_no_objects_compared_no_rows(record, tmp_path):
 
 def test_map_and_objects(rng, tmp_path):
     n = 50
-    gaussians = PlyGaussians(
+    gaussians = Gaussians(
         means=rng.normal(size=(n, 3)).astype(np.float32),
         quats=np.tile(np.float32([1, 0, 0, 0]), (n, 1)),
         log_scales=np.full((n, 3), -4.0, np.float32),

@@ -9,17 +9,17 @@ import pytest
 import ggwarp
 from ggwarp.geometry.camera import Camera
 from ggwarp.io.camera import write_camera
-from ggwarp.io.ply import PlyGaussians
+from ggwarp.map.gaussians import Gaussians
 from ggwarp.results import run_folder
 from ggwarp.results.saved_run import RunError, load_run, save_run
 
 CAMERA = Camera(32, 24, 25.0, 25.0, 15.5, 11.5)
 
 
-def _gaussians(n: int, ids: list[int] | None) -> PlyGaussians:
+def _gaussians(n: int, ids: list[int] | None) -> Gaussians:
     values = np.arange(3 * n, dtype=np.float32).reshape(n, 3)
     quats = np.tile(np.float32([1, 0, 0, 0]), (n, 1))
-    return PlyGaussians(
+    return Gaussians(
         values, quats, values, values[:, 0], values, None if ids is None else np.array(ids, np.int32)
     )
 

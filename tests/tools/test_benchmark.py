@@ -27,6 +27,7 @@ from benchmarking.record import Check, Record, Section, read_record, write_recor
 from benchmarking.stages import RENDERING, Stages, efforts, view_load
 from benchmarking.timing import Timing, Work, measure
 from ggwarp.datasets import SyntheticOffice
+from ggwarp.map.gaussian_map import PARAMETERS
 from ggwarp.ops.reference.render import project as reference_project
 from ggwarp.runtime import launch
 
@@ -109,7 +110,8 @@ def test_the_machine_is_described_and_its_limits_bound_a_roofline():
 def test_contributions_are_those_of_every_splat_at_every_pixel():
     mapper, frame = scene_mapper(small_scene(), SMALL, device="cpu")
     load = Stages(mapper, frame, SMALL).load
-    rows = {n: torch.tensor(a, dtype=torch.float64) for n, a in mapper.map.to_host().items()}
+    host = mapper.map.to_host()
+    rows = {n: torch.tensor(getattr(host, n), dtype=torch.float64) for n in PARAMETERS}
     p = reference_project(**rows, T_cw=torch.eye(4, dtype=torch.float64), camera=SMALL)
     order = np.argsort(p.depths.numpy())
     means, conics = p.means2d.numpy()[order], p.conics.numpy()[order]
@@ -151,9 +153,9 @@ def test_an_iteration_leaves_the_scene_as_it_is(device: str):
     assert mapper.synchronise() > 0.0, "there is something to fit"
     rows = mapper.map.to_host()
     for name in ("means", "log_scales", "opacity_logits", "colours", "identities"):
-        np.testing.assert_array_equal(rows[name], getattr(batch, name), err_msg=name)
+        np.testing.assert_array_equal(getattr(rows, name), getattr(batch, name), err_msg=name)
     # Quaternions are normalised again.
-    np.testing.assert_allclose(rows["quats"], batch.quats, atol=1e-6)
+    np.testing.assert_allclose(rows.quats, batch.quats, atol=1e-6)
 
 
 def test_efforts_grow_with_what_they_count():
@@ -244,7 +246,8 @@ def test_our_ellipses_are_the_observation_s_axes(moment):
 def test_gsplat_is_given_the_scene_that_we_render():
     mapper, _ = scene_mapper(small_scene(), SMALL, device="cpu")
     peer = gsplat_peer.GsplatScene(mapper, SMALL, "cpu")
-    rows = {n: torch.tensor(a, dtype=torch.float64) for n, a in mapper.map.to_host().items()}
+    host = mapper.map.to_host()
+    rows = {n: torch.tensor(getattr(host, n), dtype=torch.float64) for n in PARAMETERS}
     ours = reference_project(**rows, T_cw=torch.eye(4, dtype=torch.float64), camera=SMALL)
     torch.testing.assert_close(peer.features.double(), ours.features, atol=1e-5, rtol=1e-5)
     torch.testing.assert_close(peer.opacities.double(), ours.conics[:, 3], atol=1e-5, rtol=1e-5)

@@ -72,11 +72,13 @@ class GsplatScene:
             return torch.tensor(np.asarray(values, np.float32), device=device, requires_grad=True)
 
         self.camera = camera
-        self.means, self.quats = tensor(rows["means"]), tensor(rows["quats"])
-        self.scales = tensor(np.exp(rows["log_scales"]))
-        self.opacities = tensor(1.0 / (1.0 + np.exp(-rows["opacity_logits"])))
-        parts = [0.5 + SH_C0 * rows["colours"], rows["means"][:, 2:]]
-        self.features = tensor(np.concatenate([*parts, *([rows["identities"]] * ("identities" in rows))], 1))
+        self.means, self.quats = tensor(rows.means), tensor(rows.quats)
+        self.scales = tensor(np.exp(rows.log_scales))
+        self.opacities = tensor(1.0 / (1.0 + np.exp(-rows.opacity_logits)))
+        parts = [0.5 + SH_C0 * rows.colours, rows.means[:, 2:]]
+        if rows.identities is not None:
+            parts.append(rows.identities)
+        self.features = tensor(np.concatenate(parts, 1))
         # gsplat's pixel (0, 0) has its centre at (0.5, 0.5).
         K = [[camera.fx, 0.0, camera.cx + 0.5], [0.0, camera.fy, camera.cy + 0.5], [0.0, 0.0, 1.0]]
         self.Ks = torch.tensor([K], device=device)

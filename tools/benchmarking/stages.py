@@ -21,7 +21,7 @@ from ggwarp.kernels.raster.project import intrinsics_of, project
 from ggwarp.kernels.raster.project_adjoint import project_adjoint
 from ggwarp.kernels.raster.tiles import bin_splats
 from ggwarp.kernels.workspaces import allocate_loss, allocate_slot_gradients, allocate_splats
-from ggwarp.map.gaussians import GaussianMap
+from ggwarp.map.gaussian_map import GaussianMap
 from ggwarp.map.renderer import Renderer
 from ggwarp.pipeline.mapping.mapper import Mapper
 from ggwarp.runtime.graphs import GraphCache

@@ -18,7 +18,8 @@ import torch
 
 from benchmarking.inputs.scene import covering_size, scene_camera, scene_gaussians
 from ggwarp.geometry.camera import Camera
-from ggwarp.map.gaussians import SH_C0, GaussianBatch, GaussianMap
+from ggwarp.map.gaussian_map import GaussianMap
+from ggwarp.map.gaussians import SH_C0, Gaussians
 from ggwarp.map.renderer import Renderer
 from ggwarp.runtime import loading
 from ggwarp.runtime.graphs import GraphCache
@@ -43,7 +44,7 @@ def _timed(work: Callable[[], object], rounds: int = 20, batch: int = 5) -> floa
     return 1e3 * float(np.median(times))
 
 
-def ours(batch: GaussianBatch, camera: Camera, d_image: Float32) -> tuple[Callable[[], object], Float32]:
+def ours(batch: Gaussians, camera: Camera, d_image: Float32) -> tuple[Callable[[], object], Float32]:
     """Return our pass as a recorded graph, and its picture [3, h, w]."""
     gaussians = GaussianMap(device=_DEVICE, has_identity=False, capacity=len(batch.means))
     gaussians.append(batch)
@@ -66,7 +67,7 @@ def ours(batch: GaussianBatch, camera: Camera, d_image: Float32) -> tuple[Callab
     return run, renderer.plane(renderer.image)[:3]
 
 
-def theirs(batch: GaussianBatch, camera: Camera, d_image: Float32) -> Callable[[], torch.Tensor]:
+def theirs(batch: Gaussians, camera: Camera, d_image: Float32) -> Callable[[], torch.Tensor]:
     """Return gswarp's forward and backward pass, which returns its picture."""
     from gswarp import (  # pyright: ignore[reportMissingImports]
         GaussianRasterizationSettings,

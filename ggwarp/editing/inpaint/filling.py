@@ -10,14 +10,14 @@ in place of the object and all else as it was.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ggwarp.editing.edits import join, remove
+from ggwarp.editing.edits import remove
 from ggwarp.editing.inpaint.fitting import RefitConfig, Target, fit
 from ggwarp.editing.inpaint.holes import HoleConfig, PlaneHole, find_holes, hits
 from ggwarp.editing.inpaint.image_inpainting import Inpaint, inpaint_depth, inpaint_shade
@@ -26,8 +26,7 @@ from ggwarp.editing.inpaint.plane_texture import Surface, paint
 from ggwarp.editing.map_view import MapView, best_views
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
-from ggwarp.io.ply import PlyGaussians
-from ggwarp.map.gaussians import SH_C0
+from ggwarp.map.gaussians import SH_C0, Gaussians, join
 from ggwarp.types import Float64
 
 Bools = NDArray[np.bool_]
@@ -60,7 +59,7 @@ class FillConfig:
 
 
 def fill_removed(
-    whole: PlyGaussians,
+    whole: Gaussians,
     removed: Bools,
     camera: Camera,
     poses: Float64,
@@ -68,7 +67,7 @@ def fill_removed(
     inpaint: Inpaint = inpaint_shade,
     config: FillConfig = FillConfig(),
     device: Any = "cpu",
-) -> tuple[PlyGaussians, int]:
+) -> tuple[Gaussians, int]:
     """Return ``whole`` without the ``removed`` Gaussians, the holes behind them filled, and by how many.
 
     The new Gaussians come last; of the others only those change that lie on a hole,
@@ -108,7 +107,7 @@ def fill_removed(
     return fit(filled, free, targets, camera, config.fit, device=device), len(filled) - len(kept)
 
 
-def _over(holes: list[PlaneHole], gaussians: PlyGaussians, config: FillConfig) -> Bools:
+def _over(holes: list[PlaneHole], gaussians: Gaussians, config: FillConfig) -> Bools:
     """Return [n] the Gaussians that lie on a hole."""
     over = np.zeros(len(gaussians), bool)
     for hole in holes:
@@ -117,7 +116,7 @@ def _over(holes: list[PlaneHole], gaussians: PlyGaussians, config: FillConfig) -
     return over
 
 
-def _laid_out(kept: PlyGaussians, surface: Surface, config: FillConfig) -> PlyGaussians:
+def _laid_out(kept: Gaussians, surface: Surface, config: FillConfig) -> Gaussians:
     """Return Gaussians that carry the hole's part of ``surface``, one a cell and a cell beyond its rim."""
     hole = surface.hole
     place = cv2.dilate(hole.needed.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
@@ -128,13 +127,13 @@ def _laid_out(kept: PlyGaussians, surface: Surface, config: FillConfig) -> PlyGa
 
 
 def _fill_rest(
-    filled: PlyGaussians,
+    filled: Gaussians,
     object_views: list[ObjectView],
     camera: Camera,
     inpaint: Inpaint,
     config: FillConfig,
     device: Any,
-) -> PlyGaussians:
+) -> Gaussians:
     """Fill what no plane fills from the views, one after another."""
     for object_view in object_views[: config.rest_views]:
         seen = MapView(filled, camera, device=device).render(object_view.T_wc)
@@ -155,13 +154,13 @@ def _fill_rest(
 
 
 def _new_gaussians(
-    near: PlyGaussians,
+    near: Gaussians,
     points: Float64,
     quats: Float64,
     spreads: NDArray[np.floating],
     colours: NDArray[Any],
     config: FillConfig,
-) -> PlyGaussians:
+) -> Gaussians:
     """Return flat Gaussians at ``points`` [n, 3] that belong to what the nearest of ``near`` belong to.
 
     Args:
@@ -170,21 +169,20 @@ def _new_gaussians(
     from scipy.spatial import KDTree
 
     n = len(points)
-    kin = KDTree(near.means).query(points)[1] if n else np.zeros(0, np.intp)
+    kin = np.asarray(KDTree(near.means).query(points)[1] if n else [], np.intp)
     scales = np.stack([spreads, spreads, config.flatness * spreads], axis=1)
-    return PlyGaussians(
+    return replace(
+        near.take(kin),
         means=points.astype(np.float32),
         quats=quats.astype(np.float32),
         log_scales=np.log(scales).astype(np.float32),
         opacity_logits=np.full(n, np.log(config.opacity / (1.0 - config.opacity)), np.float32),
         colours=((colours / 255.0 - 0.5) / SH_C0).astype(np.float32),
-        object_ids=None if near.object_ids is None else near.object_ids[kin],
-        identities=None if near.identities is None else near.identities[kin],
     )
 
 
 def _targets(
-    filled: PlyGaussians,
+    filled: Gaussians,
     surfaces: list[Surface],
     object_views: list[ObjectView],
     camera: Camera,

@@ -10,14 +10,13 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ggwarp.editing.map_view import batch_of
 from ggwarp.geometry.camera import Camera
-from ggwarp.io.ply import PlyGaussians
 from ggwarp.kernels.losses.rgbd import LOSS_COUNT, rgbd_loss
 from ggwarp.kernels.math import vec16
 from ggwarp.kernels.optim.adam import AdamRates, adam_gaussians
 from ggwarp.kernels.workspaces import allocate_loss
-from ggwarp.map.gaussians import GaussianMap
+from ggwarp.map.gaussian_map import PARAMETERS, GaussianMap
+from ggwarp.map.gaussians import Gaussians
 from ggwarp.map.renderer import Renderer
 from ggwarp.runtime.streams import to_host
 from ggwarp.types import Float32, Float64
@@ -55,14 +54,14 @@ class Target:
 
 
 def fit(
-    gaussians: PlyGaussians,
+    gaussians: Gaussians,
     free: NDArray[np.bool_],
     targets: list[Target],
     camera: Camera,
     config: RefitConfig = RefitConfig(),
     *,
     device: Any = "cpu",
-) -> PlyGaussians:
+) -> Gaussians:
     """Return ``gaussians`` with those of ``free`` [n] fitted to ``targets`` by colour and depth.
 
     The others keep every bit; ids and identities are left alone.
@@ -70,7 +69,7 @@ def fit(
     if not targets or not free.any():
         return gaussians
     model = GaussianMap(device=device, has_identity=False, capacity=len(gaussians))
-    model.append(batch_of(gaussians))
+    model.append(gaussians)
     renderer = Renderer(model, camera)
     workspace = allocate_loss(camera.height, camera.width, device=device)
     losses = wp.zeros(LOSS_COUNT, dtype=float, device=device)
@@ -109,4 +108,5 @@ def fit(
             ranks=held,
             device=device,
         )
-    return replace(gaussians, **model.to_host())
+    fitted = model.to_host()
+    return replace(gaussians, **{n: getattr(fitted, n) for n in PARAMETERS if n != "identities"})

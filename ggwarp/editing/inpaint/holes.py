@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ggwarp.editing.inpaint.object_views import ObjectView, project, rays_of
 from ggwarp.editing.inpaint.planes import Plane, fit_planes, surface_normals
 from ggwarp.geometry.camera import Camera
-from ggwarp.io.ply import PlyGaussians
+from ggwarp.map.gaussians import Gaussians
 from ggwarp.types import Float32, Float64
 
 Bools = NDArray[np.bool_]
@@ -102,7 +102,7 @@ class PlaneHole:
 
 
 def find_holes(
-    kept: PlyGaussians, views: list[ObjectView], camera: Camera, config: HoleConfig = HoleConfig()
+    kept: Gaussians, views: list[ObjectView], camera: Camera, config: HoleConfig = HoleConfig()
 ) -> list[PlaneHole]:
     """Return the planes behind the object that have unseen places, with what is to be filled.
 
@@ -136,7 +136,7 @@ def find_holes(
     return [hole for hole in holes if hole.needed.any()]
 
 
-def _surroundings(kept: PlyGaussians, views: list[ObjectView], camera: Camera, config: HoleConfig) -> Bools:
+def _surroundings(kept: Gaussians, views: list[ObjectView], camera: Camera, config: HoleConfig) -> Bools:
     """Return [n] the Gaussians that a view shows close to the object's outline."""
     near = np.zeros(len(kept), bool)
     for view in views:

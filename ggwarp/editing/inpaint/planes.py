@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ggwarp.io.ply import PlyGaussians
+from ggwarp.map.gaussians import Gaussians
 from ggwarp.types import Float32, Float64
 
 _TRIALS = 400
@@ -106,7 +106,7 @@ def fit_planes(
     return found
 
 
-def surface_normals(gaussians: PlyGaussians) -> Float32:
+def surface_normals(gaussians: Gaussians) -> Float32:
     """Return [n, 3] the direction in which each Gaussian is thinnest: its normal, of either sign."""
     w, x, y, z = gaussians.quats.T
     columns = np.stack(

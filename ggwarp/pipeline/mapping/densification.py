@@ -8,7 +8,7 @@ doubled where it is small, and split in two where it is large.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,8 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ggwarp.kernels.optim.adam import OPACITY_LANE
-from ggwarp.map.gaussians import GaussianBatch, GaussianMap
+from ggwarp.map.gaussian_map import GaussianMap
+from ggwarp.map.gaussians import join
 from ggwarp.runtime.streams import to_host
 
 
@@ -58,16 +59,17 @@ def densify_gaussians(gaussians: GaussianMap, config: DensifyConfig, rng: np.ran
     fields["mean2d_gradient_counts"].zero_()
     if not pulled.any():
         return 0
-    rows = gaussians.to_host() | {
-        n: to_host(fields[n])[:count].copy() for n in ("keyframe_ids", "votes") if n in fields
-    }
-    large = pulled & (np.exp(rows["log_scales"].max(axis=1)) > config.split_scale)
-    doubled = {n: values[pulled & ~large] for n, values in rows.items()}
-    parts = {n: np.repeat(values[large], 2, axis=0) for n, values in rows.items()}
-    offsets = np.exp(parts["log_scales"]) * rng.standard_normal(parts["means"].shape)
-    parts["means"] = (parts["means"] + _turned(parts["quats"], offsets)).astype(np.float32)
-    parts["log_scales"] = parts["log_scales"] - np.float32(math.log(config.shrink))
-    gaussians.append(GaussianBatch(**{n: np.concatenate([doubled[n], parts[n]]) for n in rows}))
+    rows = gaussians.to_host()
+    large = pulled & (np.exp(rows.log_scales.max(axis=1)) > config.split_scale)
+    doubled = rows.take(pulled & ~large)
+    parts = rows.take(np.repeat(np.nonzero(large)[0], 2))
+    offsets = np.exp(parts.log_scales) * rng.standard_normal(parts.means.shape)
+    parts = replace(
+        parts,
+        means=(parts.means + _turned(parts.quats, offsets)).astype(np.float32),
+        log_scales=parts.log_scales - np.float32(math.log(config.shrink)),
+    )
+    gaussians.append(join(doubled, parts))
     flags = np.ones(gaussians.count, np.int32)
     flags[:count] = ~large
     gaussians.keep(wp.array(flags, dtype=int, device=gaussians.device))

@@ -11,9 +11,9 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ggwarp.geometry.camera import Camera
-from ggwarp.io.ply import PlyGaussians
 from ggwarp.map.covisibility import Covisibility
-from ggwarp.map.gaussians import GaussianMap
+from ggwarp.map.gaussian_map import GaussianMap
+from ggwarp.map.gaussians import Gaussians
 from ggwarp.map.renderer import Renderer
 from ggwarp.objects.class_table import NO_OBJECT, ClassTable
 from ggwarp.objects.classifier import Classifier
@@ -270,9 +270,9 @@ class Mapper:
             confidence=confidence,
         )
 
-    def export(self) -> PlyGaussians:
+    def export(self) -> Gaussians:
         """Return the map on the host, each Gaussian with its object's id as the masks name it."""
-        return PlyGaussians(object_ids=self._belongings()[0], **self.map.to_host())
+        return replace(self.map.to_host(), object_ids=self._belongings()[0])
 
     def objects(self, names: dict[int, str]) -> list[ObjectRecord]:
         """Describe the map's objects; ``names`` are their classes by id, where known."""
@@ -280,8 +280,8 @@ class Mapper:
         arrays = self.map.to_host()
         mask_ids = self.classes.mask_ids  # the names are of these: ids made up here may be others' numbers
         return inventory(
-            arrays["means"],
-            arrays["colours"],
+            arrays.means,
+            arrays.colours,
             object_ids,
             names={i: name for i, name in names.items() if i in mask_ids},
             sources=self.classes.sources(),

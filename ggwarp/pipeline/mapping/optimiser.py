@@ -17,7 +17,7 @@ from ggwarp.kernels.optim.adam import AdamRates, adam_gaussians
 from ggwarp.kernels.optim.compact import count_low_weight, flag_kept
 from ggwarp.kernels.optim.pose_adam import step_pose
 from ggwarp.kernels.workspaces import allocate_loss
-from ggwarp.map.gaussians import GaussianMap
+from ggwarp.map.gaussian_map import GaussianMap
 from ggwarp.map.renderer import Renderer
 from ggwarp.objects.classifier import Classifier, ClassifierConfig
 from ggwarp.pipeline.mapping.densification import DensifyConfig, densify_gaussians

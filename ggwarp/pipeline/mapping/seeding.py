@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ggwarp.geometry.camera import Camera
 from ggwarp.geometry.se3 import quats_from_matrices
-from ggwarp.map.gaussians import SH_C0, GaussianBatch
+from ggwarp.map.gaussians import SH_C0, Gaussians
 from ggwarp.objects.classifier import random_identities
 from ggwarp.objects.mask_supervision import LabelTargets
 from ggwarp.types import Exposure, Float32, Float64, Frame, Rendered
@@ -121,7 +121,7 @@ def seed_gaussians(
     rng: np.random.Generator,
     exposure: Exposure = _NEUTRAL,
     keyframe_id: int = 0,
-) -> GaussianBatch:
+) -> Gaussians:
     """Return the Gaussians that ``frame`` adds at ``density`` (GG-SLAM 2.3, c).
 
     Args:
@@ -149,7 +149,7 @@ def seed_gaussians(
     scales = np.stack([spread * stretch, spread, spread * config.flatness], axis=1)
     R, t = T_wc[:3, :3], T_wc[:3, 3]
     count = len(z)
-    return GaussianBatch(
+    return Gaussians(
         means=(points @ R.T + t).astype(np.float32),
         quats=quats_from_matrices(R @ axes),
         log_scales=np.log(np.maximum(scales, 1e-5)).astype(np.float32),

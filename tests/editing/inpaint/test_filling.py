@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from ggwarp.editing.edits import extract, join, remove
+from ggwarp.editing.edits import extract, remove
 from ggwarp.editing.inpaint.filling import fill_removed
 from ggwarp.editing.inpaint.holes import FREE, SEEN, UNSEEN, find_holes
 from ggwarp.editing.inpaint.image_inpainting import inpaint_shade
@@ -12,8 +12,7 @@ from ggwarp.editing.inpaint.object_views import look, share_in_the_clear
 from ggwarp.editing.inpaint.plane_texture import paint, sampled
 from ggwarp.editing.map_view import MapView
 from ggwarp.geometry.camera import Camera
-from ggwarp.io.ply import PlyGaussians
-from ggwarp.map.gaussians import SH_C0
+from ggwarp.map.gaussians import SH_C0, Gaussians, join
 
 CAMERA = Camera(120, 80, 140.0, 140.0, 59.5, 39.5)
 SIDE, FRONT, WALL = 0.2, 2.5, 3.0
@@ -21,11 +20,11 @@ POSES = np.stack([np.eye(4)] * 5)
 POSES[:, 0, 3] = [-0.4, -0.2, 0.0, 0.2, 0.4]
 
 
-def _flat(points: np.ndarray, normal_axis: int, colours: np.ndarray, object_id: int) -> PlyGaussians:
+def _flat(points: np.ndarray, normal_axis: int, colours: np.ndarray, object_id: int) -> Gaussians:
     n = len(points)
     scales = np.full((n, 3), np.log(0.024), np.float32)
     scales[:, normal_axis] = np.log(0.004)
-    return PlyGaussians(
+    return Gaussians(
         points.astype(np.float32),
         np.tile(np.float32([1, 0, 0, 0]), (n, 1)),
         scales,
@@ -55,13 +54,13 @@ def _hidden(points: np.ndarray) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def wall() -> PlyGaussians:
+def wall() -> Gaussians:
     points = np.insert(_grid(-2.0, 2.0, 0.04), 2, WALL, axis=1)
     return _flat(points, 2, _wall_colours(points), 1)
 
 
 @pytest.fixture(scope="module")
-def whole(wall: PlyGaussians) -> PlyGaussians:
+def whole(wall: Gaussians) -> Gaussians:
     """The wall as far as it was ever seen, and the board."""
     face = np.insert(_grid(-SIDE, SIDE), 2, FRONT, axis=1)
     board = _flat(face, 2, np.tile([0.9, 0.1, 0.1], (len(face), 1)), 5)
@@ -169,7 +168,7 @@ def test_without_a_plane_the_views_are_inpainted(whole, wall, rng):
     rough = kept.means.copy()
     rough[:, 2] += rng.uniform(-0.15, 0.15, len(rough))
     quats = rng.normal(size=(len(rough), 4)).astype(np.float32)
-    scattered = PlyGaussians(
+    scattered = Gaussians(
         rough,
         quats / np.linalg.norm(quats, axis=1, keepdims=True),
         kept.log_scales,
@@ -200,5 +199,5 @@ def test_nothing_to_fill(whole, wall):
 def test_twice_gives_the_same_bits(whole):
     board = whole.object_ids == 5
     one, two = (fill_removed(whole, board, CAMERA, POSES)[0] for _ in range(2))
-    for name, values in vars(one).items():
+    for name, values in one.arrays().items():
         np.testing.assert_array_equal(values, getattr(two, name))

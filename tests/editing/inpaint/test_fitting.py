@@ -31,7 +31,7 @@ def test_free_gaussians_learn_and_held_ones_keep_every_bit(run_folder, device):
         device=device,
     )
     assert error(fitted) < 0.5 * error(run.gaussians)
-    for name, before in vars(run.gaussians).items():
+    for name, before in run.gaussians.arrays().items():
         np.testing.assert_array_equal(getattr(fitted, name)[~cube], before[~cube], err_msg=name)
     np.testing.assert_array_equal(fitted.object_ids, run.gaussians.object_ids)
 

@@ -5,7 +5,7 @@ from scipy.spatial.transform import Rotation
 
 from ggwarp.editing.inpaint.planes import Plane, fit_planes, surface_normals
 from ggwarp.geometry import se3
-from ggwarp.io.ply import PlyGaussians
+from ggwarp.map.gaussians import Gaussians
 
 TOWARDS = np.array([0.0, 0.0, 1.0])
 
@@ -75,5 +75,5 @@ def test_a_gaussian_is_thinnest_along_its_normal(rng):
     scales[np.arange(n), thin] = -2.0
     zeros = np.zeros((n, 3), np.float32)
     quats = R.as_quat()[:, [3, 0, 1, 2]].astype(np.float32)
-    normals = surface_normals(PlyGaussians(zeros, quats, scales, zeros[:, 0], zeros))
+    normals = surface_normals(Gaussians(zeros, quats, scales, zeros[:, 0], zeros))
     np.testing.assert_allclose(normals, R.as_matrix()[np.arange(n), :, thin], atol=1e-5)

@@ -12,7 +12,8 @@ import warp as wp
 from ggwarp.datasets.built_in.synthetic import SyntheticOffice
 from ggwarp.geometry import se3
 from ggwarp.kernels.optim.adam import OPACITY_LANE
-from ggwarp.map.gaussians import GaussianBatch, GaussianMap
+from ggwarp.map.gaussian_map import PARAMETERS, GaussianMap
+from ggwarp.map.gaussians import Gaussians
 from ggwarp.pipeline.mapping.densification import DensifyConfig, densify_gaussians, lower_opacities
 from ggwarp.pipeline.mapping.mapper import Mapper, MapperConfig
 
@@ -23,7 +24,7 @@ def made(device: str, rng: np.random.Generator, count: int) -> GaussianMap:
     gaussians = GaussianMap(device=device, has_identity=True, capacity=8)
     quats = rng.normal(size=(count, 4)).astype(np.float32)
     gaussians.append(
-        GaussianBatch(
+        Gaussians(
             means=rng.normal(size=(count, 3)).astype(np.float32),
             quats=quats / np.linalg.norm(quats, axis=1, keepdims=True),
             log_scales=np.log(np.tile(np.float32([[0.05, 0.02, 0.01]]), (count, 1))),
@@ -45,22 +46,23 @@ def assign(gaussians: GaussianMap, name: str, values: np.ndarray) -> None:
 
 def test_small_ones_are_doubled_and_large_ones_split(device: str, rng: np.random.Generator) -> None:
     gaussians = made(device, rng, 5)
-    large = gaussians.to_host()["log_scales"]
+    large = gaussians.to_host().log_scales
     large[3] = np.log([0.3, 1e-6, 1e-6])
     assign(gaussians, "log_scales", large)
     # In the mean: 0.4, 0.6, none seen, 0.6, 0.5.
     assign(gaussians, "mean2d_gradient_norms", np.float32([4.0, 6.0, 0.0, 1.2, 0.5]))
     assign(gaussians, "mean2d_gradient_counts", np.int32([10, 10, 0, 2, 1]))
-    before = gaussians.to_host()
+    before = gaussians.to_host().arrays()
 
     assert densify_gaussians(gaussians, CONFIG, rng) == 2
 
-    after = gaussians.to_host()
+    after = gaussians.to_host().arrays()
     assert gaussians.count == 5 + 1 + 1
     keyframe_ids = gaussians.fields["keyframe_ids"].numpy()[:7].tolist()
     assert keyframe_ids == [0, 1, 2, 4, 1, 3, 3]
     np.testing.assert_array_equal(gaussians.fields["votes"].numpy()[:7], 10 + np.array(keyframe_ids))
-    for name, values in after.items():
+    for name in PARAMETERS:
+        values = after[name]
         np.testing.assert_array_equal(values[:5], before[name][[0, 1, 2, 4, 1]], err_msg=name)
         if name not in ("means", "log_scales"):
             np.testing.assert_array_equal(values[5:], before[name][[3, 3]], err_msg=name)
@@ -94,7 +96,7 @@ def test_unseen_opacities_are_lowered_and_forget_their_moments(device: str, rng:
     lower_opacities(gaussians, np.array([True, False, False, False]), 0.4)
 
     logit = np.log(0.4 / 0.6)
-    np.testing.assert_allclose(gaussians.to_host()["opacity_logits"], [3.0, logit, -3.0, logit], rtol=1e-6)
+    np.testing.assert_allclose(gaussians.to_host().opacity_logits, [3.0, logit, -3.0, logit], rtol=1e-6)
     for name in ("first", "second"):
         moments = gaussians.fields[name].numpy()[:4]
         assert moments[:, OPACITY_LANE].tolist() == [1.0, 0.0, 1.0, 0.0]
@@ -113,7 +115,7 @@ def test_a_mapper_multiplies_what_it_cannot_fit(device: str) -> None:
         mapper.insert(frame, frame.T_wc)
         for _ in range(30):
             mapper.iterate()
-        maps.append(mapper.map.to_host())
+        maps.append(mapper.map.to_host().arrays())
     without, first, second = maps
     assert 1.02 * len(without["means"]) < len(first["means"]) < 4 * len(without["means"])
     for name, values in first.items():
@@ -132,8 +134,8 @@ def test_a_mapper_resets_what_its_newest_keyframe_does_not_see(device: str) -> N
     assign(mapper.map, "opacity_logits", logits)
     for _ in range(3):
         mapper.iterate()
-    assert (mapper.map.to_host()["opacity_logits"] > 2.0).all()
+    assert (mapper.map.to_host().opacity_logits > 2.0).all()
     mapper.iterate()
-    low = mapper.map.to_host()["opacity_logits"] < 0.0
+    low = mapper.map.to_host().opacity_logits < 0.0
     assert 0.2 < low.mean() < 0.9
     wp.synchronize_device(device)

@@ -69,8 +69,7 @@ def test_a_second_run_is_the_same_to_the_bit(device: str) -> None:
         a, b = (slam.step(bare(index, index)) for slam in (first, second))
         np.testing.assert_array_equal(a.T_wc, b.T_wc)
     assert first.can_refine
-    maps = first.map.to_host(), second.map.to_host()
-    np.testing.assert_array_equal(maps[0]["means"], maps[1]["means"])
+    np.testing.assert_array_equal(first.map.to_host().means, second.map.to_host().means)
 
 
 def test_only_the_defaults_give_way_to_what_one_camera_needs() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from ggwarp.geometry.camera import Camera
 from ggwarp.kernels.optim.adam import AdamRates
 from ggwarp.kernels.raster.project import LOW_PASS
-from ggwarp.map.gaussians import SH_C0, GaussianBatch
+from ggwarp.map.gaussians import SH_C0, Gaussians
 from ggwarp.objects.classifier import ClassifierConfig, random_identities
 from ggwarp.objects.mask_supervision import SupervisionConfig
 from ggwarp.pipeline.mapping.mapper import Mapper, MapperConfig
@@ -44,9 +44,7 @@ def covering_size(gaussians: int, width: int, height: int) -> float:
     return max((2.0**2 + _LOW_PASS) * share - _LOW_PASS, 0.01) ** 0.5
 
 
-def scene_gaussians(
-    count: int, camera: Camera, *, size: float, identity: bool, seed: int = 0
-) -> GaussianBatch:
+def scene_gaussians(count: int, camera: Camera, *, size: float, identity: bool, seed: int = 0) -> Gaussians:
     """Return ``count`` Gaussians spread evenly over the view of a camera at the world's origin.
 
     They lie about a wavy surface, 1 to 4 m away, all at different depths; orientations are random; the
@@ -73,7 +71,7 @@ def scene_gaussians(
     sigma = _FACING * size * z / camera.fx
     scales = sigma[:, None] * np.array([_STRETCH, 1.0 / _STRETCH, _FLATNESS])
     opacities = rng.uniform(*_OPACITIES, count)
-    return GaussianBatch(
+    return Gaussians(
         means=means.astype(np.float32),
         quats=(quats / np.linalg.norm(quats, axis=1, keepdims=True)).astype(np.float32),
         log_scales=np.log(scales).astype(np.float32),
@@ -83,7 +81,7 @@ def scene_gaussians(
     )
 
 
-def scene_mapper(gaussians: GaussianBatch, camera: Camera, *, device: Any) -> tuple[Mapper, Frame]:
+def scene_mapper(gaussians: Gaussians, camera: Camera, *, device: Any) -> tuple[Mapper, Frame]:
     """Return a mapper whose map is ``gaussians``, with one keyframe: their own view, made noisy.
 
     All of an iteration is done, but learning rates are 0: each iteration sees the same scene.

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The map on the device: a structure of arrays of Gaussians that grows and is pruned.
+
+The map has one writer, the mapper. Arrays live on one Warp device and keep spare capacity;
+the first ``count`` rows of each are in use. The other rows are zeros, and a Gaussian whose quaternion is zero
+is not rendered: recorded work covers all rows.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from ggwarp.kernels.math import vec16
+from ggwarp.kernels.optim.adam import AdamState, GaussianArrays
+from ggwarp.map.compaction import gathered, kept_indices
+from ggwarp.map.gaussians import Gaussians
+from ggwarp.runtime.streams import to_host
+
+PARAMETERS: dict[str, Any] = {
+    "means": wp.vec3,
+    "quats": wp.vec4,
+    "log_scales": wp.vec3,
+    "opacity_logits": wp.float32,
+    "colours": wp.vec3,
+    "identities": vec16,
+}
+"""What is optimised: field name -> row type."""
+
+_GROWTH = 1.5
+
+
+class GaussianMap:
+    """Gaussians and their Adam moments on one device.
+
+    Attributes:
+        device: Warp device.
+        count: Gaussians in use.
+        has_identity: whether ``identities`` is there.
+        version: grows whenever rows are added or removed.
+        allocation: grows whenever ``fields`` become other arrays.
+        fields: name -> array of ``capacity`` rows: the parameters, the optimiser's state,
+            ``keyframe_ids``, ``votes``, ``low_weight_counts`` (``optim.compact.count_low_weight``),
+            ``mean2d_gradient_norms`` and ``mean2d_gradient_counts`` (``raster.project_adjoint``).
+    """
+
+    def __init__(self, *, device: Any, has_identity: bool, capacity: int = 1 << 15) -> None:
+        self.device = wp.get_device(device)
+        self.has_identity = has_identity
+        self.count = 0
+        self.version = 0
+        self.allocation = 0
+        names = [n for n in PARAMETERS if has_identity or n != "identities"]
+        types = {n: PARAMETERS[n] for n in names}
+        types |= {
+            "first": vec16,
+            "second": vec16,
+            "steps": wp.int32,
+            "keyframe_ids": wp.int32,
+            "low_weight_counts": wp.int32,
+        }
+        types |= {"mean2d_gradient_norms": wp.float32, "mean2d_gradient_counts": wp.int32}
+        if has_identity:
+            types |= {"first_identity": vec16, "second_identity": vec16, "votes": wp.int32}
+        self.fields = {n: wp.zeros(capacity, dtype=t, device=self.device) for n, t in types.items()}
+
+    @property
+    def capacity(self) -> int:
+        return self.fields["means"].shape[0]
+
+    @property
+    def parameters(self) -> GaussianArrays:
+        """The parameters, ``capacity`` rows each."""
+        return GaussianArrays(*(self.fields.get(n) for n in PARAMETERS))
+
+    @property
+    def adam_state(self) -> AdamState:
+        """The optimiser's moments and step counts, ``capacity`` rows each."""
+        get = self.fields.get
+        return AdamState(
+            get("first"), get("second"), get("steps"), get("first_identity"), get("second_identity")
+        )
+
+    def append(self, gaussians: Gaussians) -> None:
+        """Add ``gaussians`` at the end, growing the arrays where they are full."""
+        begin, end = self.count, self.count + len(gaussians)
+        if begin == end:
+            return
+        if end > self.capacity:
+            self._reallocate(max(end, int(self.capacity * _GROWTH)))
+        for name, array in self.fields.items():
+            rows: Any = array[begin:end]
+            values = getattr(gaussians, name, None)
+            if values is None and name in PARAMETERS:
+                raise ValueError("the map has identities, but these Gaussians have none")
+            if values is not None:
+                # wp.array keeps no reference to a temporary: copy synchronises on the host side.
+                wp.copy(rows, wp.array(values, dtype=array.dtype, device=self.device))
+            else:
+                rows.zero_()
+        self.count = end
+        self.version += 1
+
+    def keep(self, flags: wp.array) -> int:
+        """Drop the Gaussians whose ``flags`` [count] int32 is 0, in stable order.
+
+        Returns:
+            How many were dropped.
+        """
+        kept, indices = kept_indices(flags, self.count)
+        dropped = self.count - kept
+        if dropped:
+            for name, array in self.fields.items():
+                self.fields[name] = gathered(array, indices, kept)
+            self.allocation += 1
+            self.count = kept
+            self.version += 1
+        return dropped
+
+    def to_host(self) -> Gaussians:
+        """Return copies of the rows in use: the parameters, ``keyframe_ids`` and ``votes``."""
+        names = [n for n in (*PARAMETERS, "keyframe_ids", "votes") if n in self.fields]
+        return Gaussians(**{n: to_host(self.fields[n])[: self.count].copy() for n in names})
+
+    def _reallocate(self, capacity: int) -> None:
+        for name, old in self.fields.items():
+            new = wp.zeros(capacity, dtype=old.dtype, device=self.device)
+            wp.copy(new, old, count=self.count)
+            self.fields[name] = new
+        self.allocation += 1
