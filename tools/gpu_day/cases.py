@@ -21,7 +21,7 @@ from ggwarp.map.gaussian_map import GaussianMap
 from ggwarp.map.renderer import Renderer
 from ggwarp.pipeline.mapping.mapper import Mapper, MapperConfig
 from ggwarp.pipeline.tracking.preprocess import ObservationConfig, observe
-from ggwarp.solvers.registration import Cloud, Registrar, Stage, Target, build_target
+from ggwarp.solvers.registration import Cloud, Registrar, RegistrationStage, RegistrationTarget, build_target
 from ggwarp.types import Frame
 
 Arrays = dict[str, Any]
@@ -40,7 +40,7 @@ TOLERANCES: dict[str, dict[str, float]] = {
 """Case -> array -> relative L2 that is allowed (absolute where the reference is 0); ``*``: all others."""
 
 DEFAULT_TOLERANCE = 2e-4
-STAGES = [Stage(0.3, 6, 1e-3, 30.0, thinning=3), Stage(0.08, 15, 1e-6, 3.0)]
+STAGES = [RegistrationStage(0.3, 6, 1e-3, 30.0, thinning=3), RegistrationStage(0.08, 15, 1e-6, 3.0)]
 
 
 def case(function: Case) -> Case:
@@ -162,7 +162,7 @@ def _walls(rng: np.random.Generator, n: int) -> tuple[Any, Any]:
     return points, np.array([se3.quat_from_matrix(se3.so3_exp(w)) for w in turns])[wall]
 
 
-def walls_target(rng: np.random.Generator, n: int, device: Any) -> Target:
+def walls_target(rng: np.random.Generator, n: int, device: Any) -> RegistrationTarget:
     """Return ``n`` flat Gaussians on three walls, to register to."""
     points, quats = _walls(rng, n)
     return build_target(

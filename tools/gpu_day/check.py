@@ -24,7 +24,7 @@ import numpy as np
 import warp as wp
 
 from ggwarp.runtime import loading
-from ggwarp.runtime.stream_scopes import two_lanes
+from ggwarp.runtime.streams import stream_scopes
 from ggwarp.solvers.registration import Registrar
 from gpu_day.cases import (
     CASES,
@@ -130,18 +130,18 @@ def two_threads(device: Any) -> int:
     target, cloud = walls_target(rng, 4000, device), walls_cloud(rng, 3000, np.eye(4), device)
     failures = []
 
-    def track(lane: Any) -> None:
+    def track(scope: Any) -> None:
         registrar = Registrar(device=device)
         try:
             for _ in range(40):
-                with lane:
+                with scope:
                     registrar.register(cloud, target, np.eye(4), STAGES)
         except Exception:
             failures.append(traceback.format_exc())
 
     mapper = make_mapper(device)
     loading.load(loading.imported_kernel_modules(device), device)
-    with two_lanes(device) as (tracking, mapping):
+    with stream_scopes(device) as (tracking, mapping):
         thread = threading.Thread(target=track, args=(tracking,), daemon=True)
         thread.start()
         for _ in range(60):

@@ -125,9 +125,8 @@ PY"
     step compare 75 "$check compare $reference"
     step repeatable 30 "$check repeatable"
     step graphs-streams 40 "$pytest tests/runtime/test_graphs.py tests/runtime/test_streams.py tests/solvers/test_registration.py -k 'cuda:0'"
-    step stream-scopes 40 "$pytest tests/runtime/test_stream_scopes.py -k 'cuda:0'"
     step two-threads 40 "$check two-threads"
-    step kernel-tests 100 "$pytest -n 6 tests/kernels tests/runtime tests/solvers tests/map tests/ops -k 'cuda:0' --deselect tests/runtime/test_stream_scopes.py"
+    step kernel-tests 100 "$pytest -n 6 tests/kernels tests/map tests/ops -k 'cuda:0'"
     step system-tests 60 "$pytest -n 6 tests/pipeline tests/objects -k 'cuda:0'"
     ;;
 bench)
