@@ -158,3 +158,41 @@ def test_public_names_are_there() -> None:
         assert getattr(ggwarp, name) is not None
     with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
         _ = ggwarp.nonsense
+
+
+CREATORS = {"zeros", "empty", "full", "ones", "clone", "zeros_like", "empty_like", "ones_like", "from_numpy"}
+READERS = {"numpy", "list", "to_host", "synchronize", "synchronize_device", "synchronize_stream"}
+READS_A_COUNT_ON_THE_CPU = {"raster/tiles.py:_bin_on_cpu", "raster/project_adjoint.py:project_adjoint"}
+"""On a CPU a launch is done when it returns, and reading waits for nothing."""
+
+
+def _host_functions() -> list[tuple[str, ast.FunctionDef]]:
+    """Return what of ``kernels`` runs on the host, by ``folder/file.py:function``."""
+    found = []
+    for path in sorted((PACKAGE / "kernels").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.FunctionDef) and "wp." not in "".join(
+                map(ast.unparse, node.decorator_list)
+            ):
+                found.append((f"{path.relative_to(PACKAGE / 'kernels')}:{node.name}", node))
+    return found
+
+
+def test_launch_functions_allocate_nothing_and_wait_for_nothing() -> None:
+    """What CONTRIBUTING.md says of kernels: ``allocate_*`` functions make arrays, and no result is read."""
+    allocating, reading = set(), set()
+    for name, function in _host_functions():
+        for call in ast.walk(function):
+            if not isinstance(call, ast.Call):
+                continue
+            called = ast.unparse(call.func)
+            views = any(keyword.arg == "ptr" for keyword in call.keywords)
+            if called in {f"wp.{creator}" for creator in CREATORS} or (called == "wp.array" and not views):
+                allocating.add(name)
+            if called.split(".")[-1] in READERS and called != "list":
+                reading.add(name)
+    places = {
+        name for name in allocating if "allocate_" not in name and not name.startswith("workspaces.py:")
+    }
+    assert not places and len(allocating) > 3
+    assert reading == READS_A_COUNT_ON_THE_CPU
