@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from ggwarp.results.saved_run import RunError, SavedRun, load_run
     from ggwarp.types import Frame, Rendered, StepReport, TrackResult, Verdict
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "Camera",
