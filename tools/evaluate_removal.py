@@ -119,15 +119,12 @@ class Office:
         seen = np.zeros(len(points), bool)
         for frame in self.frames:
             assert frame.depth is not None and frame.mask is not None and frame.T_wc is not None
-            x, y, z = se3.transform_points(se3.inverse(frame.T_wc), points).T
-            depth = np.where(z > 0.05, z, 1.0)
-            columns = np.rint(self.camera.fx * x / depth + self.camera.cx).astype(int)
-            rows = np.rint(self.camera.fy * y / depth + self.camera.cy).astype(int)
-            inside = (z > 0.05) & (rows >= 0) & (rows < self.camera.height)
-            inside &= (columns >= 0) & (columns < self.camera.width)
+            local = se3.transform_points(se3.inverse(frame.T_wc), points)
+            rows, columns, inside = self.camera.pixels_of(local)
             index = np.nonzero(inside)[0]
             at = (rows[index], columns[index])
-            agree = np.abs(frame.depth[at] - z[index]) < _TOLERANCE * (1.0 + z[index])
+            z = local[index, 2]
+            agree = np.abs(frame.depth[at] - z) < _TOLERANCE * (1.0 + z)
             seen[index] |= agree & (frame.mask[at] != object_id)
         return ~seen
 
@@ -135,9 +132,7 @@ class Office:
 def _points(
     depth: Float32, camera: Camera, T_wc: Float64, rows: NDArray[np.intp], columns: NDArray[np.intp]
 ) -> Float64:
-    z = depth[rows, columns]
-    local = np.stack([(columns - camera.cx) / camera.fx * z, (rows - camera.cy) / camera.fy * z, z], axis=1)
-    return se3.transform_points(T_wc, local)
+    return se3.transform_points(T_wc, camera.back_project(columns, rows, depth[rows, columns]))
 
 
 def removable(objects: Sequence[ObjectRecord]) -> list[ObjectRecord]:

@@ -141,7 +141,7 @@ class _Undistortion:
 
     def __init__(self, calibration: Calibration) -> None:
         camera = calibration.camera
-        K = np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
+        K = camera.matrix
         coefficients = np.array(calibration.distortion)
         size = (camera.width, camera.height)
         self._u, self._v = cv2.initUndistortRectifyMap(K, coefficients, np.eye(3), K, size, cv2.CV_32FC1)

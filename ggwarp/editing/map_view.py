@@ -129,11 +129,8 @@ def crop_to(mask: Bools, *, margin: int) -> tuple[slice, slice]:
 
 
 def _in_sight(camera: Camera, T_wc: Float64, points: Float32) -> bool:
-    x, y, z = se3.transform_points(se3.inverse(T_wc), points[:: max(1, len(points) // 500)]).T
-    front = z > 0.1
-    z = np.where(front, z, 1.0)
-    u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
-    return bool((front & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)).any())
+    some = points[:: max(1, len(points) // 500)]
+    return bool(camera.pixels_of(se3.transform_points(se3.inverse(T_wc), some))[2].any())
 
 
 def _shown_area(coverage: Float32) -> float:

@@ -85,10 +85,7 @@ class Matcher:
 
 def rays_of(camera: Camera) -> Float64:
     """Return [h, w, 3] the rays through the pixels' centres, 1 along the optical axis."""
-    rays = np.ones((camera.height, camera.width, 3))
-    rays[..., 0] = (np.arange(camera.width) - camera.cx) / camera.fx
-    rays[..., 1] = ((np.arange(camera.height) - camera.cy) / camera.fy)[:, None]
-    return rays
+    return camera.rays(np.arange(camera.width), np.arange(camera.height)[:, None])
 
 
 def triangulate(matches: Matches, T_other: Float64, camera: Camera) -> InverseDepth:
@@ -98,8 +95,7 @@ def triangulate(matches: Matches, T_other: Float64, camera: Camera) -> InverseDe
         T_other: [4, 4] takes this camera's coordinates to the other's.
     """
     turned, t = rays_of(camera) @ T_other[:3, :3].T, T_other[:3, 3]
-    x = (matches.at[..., 0] - camera.cx) / camera.fx
-    y = (matches.at[..., 1] - camera.cy) / camera.fy
+    x, y, _ = np.moveaxis(camera.rays(matches.at[..., 0], matches.at[..., 1]), -1, 0)
     # The point is at (turned + rho t), up to scale: x (turned_z + rho t_z) = turned_x + rho t_x, likewise y.
     a = np.stack([camera.fx * (t[0] - x * t[2]), camera.fy * (t[1] - y * t[2])], axis=-1)
     b = np.stack([camera.fx * (x * turned[..., 2] - turned[..., 0]),
@@ -135,7 +131,7 @@ def relative_pose(matches: Matches, camera: Camera) -> tuple[Float64, float] | N
     here, there = _pairs(matches)
     if len(here) < 100:
         return None
-    K = _matrix(camera)
+    K = camera.matrix
     essential, agreeing = cv2.findEssentialMat(here, there, K, cv2.USAC_MAGSAC, 0.999, 0.5)
     if essential is None or essential.shape != (3, 3):
         return None
@@ -164,7 +160,7 @@ def pose_from_depth(
     points = rays_of(camera)[rows, columns] * depth[rows, columns, None]
     rvec, tvec = se3.so3_log(start[:3, :3])[:, None].copy(), start[:3, 3][:, None].copy()
     found, rvec, tvec, agreeing = cv2.solvePnPRansac(
-        points, matches.at[rows, columns].astype(np.float64), _matrix(camera), None,
+        points, matches.at[rows, columns].astype(np.float64), camera.matrix, None,
         rvec, tvec, True, 100, 1.5, 0.999,
     )  # fmt: skip
     if not found or agreeing is None:
@@ -184,10 +180,6 @@ def _sampled(where: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.int
 def _pairs(matches: Matches) -> tuple[Float64, Float64]:
     rows, columns = _sampled(matches.good)
     return np.stack([columns, rows], axis=1).astype(np.float64), matches.at[rows, columns].astype(np.float64)
-
-
-def _matrix(camera: Camera) -> Float64:
-    return np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
 
 
 def grey(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:

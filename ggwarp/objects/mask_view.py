@@ -34,18 +34,14 @@ class PosedDepth:
         return self._points(*np.nonzero(pixels & (self.depth > 0.0)))
 
     def _points(self, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Float64:
-        c, z = self.camera, self.depth[rows, columns].astype(np.float64)
-        p = np.stack([(columns - c.cx) / c.fx * z, (rows - c.cy) / c.fy * z, z], axis=1)
+        z = self.depth[rows, columns].astype(np.float64)
+        p = self.camera.back_project(columns, rows, z)
         return p @ self.T_wc[:3, :3].T + self.T_wc[:3, 3]
 
     def look_up(self, points: Float64, image: Labels) -> Labels:
         """Return ``image`` [h, w] at those of ``points`` [k, 3] that the view shows."""
-        c = self.camera
         p = (points - self.T_wc[:3, 3]) @ self.T_wc[:3, :3]
-        p = p[p[:, 2] > 0.0]
-        columns = np.rint(p[:, 0] / p[:, 2] * c.fx + c.cx).astype(int)
-        rows = np.rint(p[:, 1] / p[:, 2] * c.fy + c.cy).astype(int)
-        inside = (columns >= 0) & (rows >= 0) & (columns < c.width) & (rows < c.height)
+        rows, columns, inside = self.camera.pixels_of(p)
         rows, columns, z = rows[inside], columns[inside], p[inside, 2]
         shown = np.abs(self.depth[rows, columns] - z) <= _TOLERANCE * z
         return image[rows[shown], columns[shown]]

@@ -21,7 +21,7 @@ from ggwarp.editing.edits import remove
 from ggwarp.editing.inpaint.fitting import RefitConfig, Target, fit
 from ggwarp.editing.inpaint.holes import HoleConfig, PlaneHole, find_holes, hits
 from ggwarp.editing.inpaint.image_inpainting import Inpaint, inpaint_depth, inpaint_shade
-from ggwarp.editing.inpaint.object_views import ObjectView, look, rays_of, share_in_the_clear
+from ggwarp.editing.inpaint.object_views import ObjectView, look, share_in_the_clear, world_rays
 from ggwarp.editing.inpaint.plane_texture import Surface, paint
 from ggwarp.editing.map_view import MapView, best_views
 from ggwarp.geometry import se3
@@ -145,7 +145,7 @@ def _fill_rest(
         picture = inpaint(np.rint(255.0 * seen.rgb).astype(np.uint8), unknown)
         rows, columns = np.nonzero(hole & (depth > 0.0))
         z = depth[rows, columns]
-        points = object_view.T_wc[:3, 3] + rays_of(camera, object_view.T_wc, rows, columns) * z[:, None]
+        points = object_view.T_wc[:3, 3] + world_rays(camera, object_view.T_wc, rows, columns) * z[:, None]
         quats = np.tile(se3.quat_from_matrix(object_view.T_wc[:3, :3]), (len(points), 1))
         spreads = config.spread * z / camera.fx
         new = _new_gaussians(filled, points, quats, spreads, picture[rows, columns], config)
@@ -201,7 +201,7 @@ def _targets(
         rows, columns, which, along = hits(holes, object_view, camera, tolerance=config.holes.tolerance)
         points = (
             object_view.T_wc[:3, 3]
-            + rays_of(camera, object_view.T_wc, rows, columns) * np.where(which >= 0, along, 0.0)[:, None]
+            + world_rays(camera, object_view.T_wc, rows, columns) * np.where(which >= 0, along, 0.0)[:, None]
         )
         for k, surface in enumerate(surfaces):
             own = which == k

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ggwarp.editing.inpaint.object_views import ObjectView, project, rays_of
+from ggwarp.editing.inpaint.object_views import ObjectView, world_pixels, world_rays
 from ggwarp.editing.inpaint.planes import Plane, fit_planes, surface_normals
 from ggwarp.geometry.camera import Camera
 from ggwarp.map.gaussians import Gaussians
@@ -146,7 +146,7 @@ def _surroundings(kept: Gaussians, views: list[ObjectView], camera: Camera, conf
         width = 2 * round(max(4.0, config.ring * size)) + 1
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width))
         ring = cv2.dilate(view.blocked.astype(np.uint8), disc).astype(bool) & ~view.blocked
-        rows, columns, z, inside = project(camera, view.T_wc, kept.means)
+        rows, columns, z, inside = world_pixels(camera, view.T_wc, kept.means)
         agree = np.abs(view.depth[rows, columns] - z) < 2.0 * config.tolerance * (1.0 + z)
         near |= inside & ring[rows, columns] & agree
     return near
@@ -199,7 +199,7 @@ def _ended(states: NDArray[np.uint8], going_on: float) -> Bools:
 def _behind(plane: Plane, view: ObjectView, camera: Camera, config: HoleConfig) -> Float64:
     """Return [n, 3] where rays through the object meet ``plane`` behind the object's front."""
     rows, columns = np.nonzero(view.touched)
-    rays, centre = rays_of(camera, view.T_wc, rows, columns), view.T_wc[:3, 3]
+    rays, centre = world_rays(camera, view.T_wc, rows, columns), view.T_wc[:3, 3]
     depths = plane.depths(rays, centre)
     behind = np.isfinite(depths) & (depths > view.depth[rows, columns] - config.tolerance)
     return centre + rays[behind] * depths[behind, None]
@@ -212,7 +212,7 @@ def _classified(
     points = hole.centres(np.ones(hole.states.shape, bool))
     free, seen = np.zeros(len(points), int), np.zeros(len(points), int)
     for view in views:
-        rows, columns, z, inside = project(camera, view.T_wc, points)
+        rows, columns, z, inside = world_pixels(camera, view.T_wc, points)
         tolerance = config.tolerance * (1.0 + z)
         beyond = view.depth[rows, columns] - z
         # Where the outline mixes the object with what is behind, neither can be told.
@@ -256,7 +256,7 @@ def _first(
     *,
     beyond: bool,
 ) -> tuple[NDArray[np.intp], Float64]:
-    rays, centre = rays_of(camera, T_wc, rows, columns), T_wc[:3, 3]
+    rays, centre = world_rays(camera, T_wc, rows, columns), T_wc[:3, 3]
     which, depth = np.full(len(rays), -1, np.intp), np.full(len(rays), np.inf)
     for k, hole in enumerate(holes):
         along = hole.plane.depths(rays, centre)
@@ -270,7 +270,7 @@ def _first(
 
 def _mark(holes: list[PlaneHole], view: ObjectView, camera: Camera, tolerance: float) -> None:
     rows, columns, which, depth = hits(holes, view, camera, tolerance=tolerance)
-    rays, centre = rays_of(camera, view.T_wc, rows, columns), view.T_wc[:3, 3]
+    rays, centre = world_rays(camera, view.T_wc, rows, columns), view.T_wc[:3, 3]
     for k, hole in enumerate(holes):
         hole.mark(centre + rays[which == k] * depth[which == k, None])
 

@@ -92,20 +92,15 @@ def share_in_the_clear(
     return share.max(axis=0), np.stack(behind).max(axis=0) > 0.0
 
 
-def rays_of(camera: Camera, T_wc: Float64, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Float64:
+def world_rays(camera: Camera, T_wc: Float64, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Float64:
     """Return [n, 3] world directions of pixels, one unit deep in the camera frame."""
-    x, y = (columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy
-    return np.stack([x, y, np.ones_like(x)], axis=1) @ T_wc[:3, :3].T
+    return camera.rays(columns, rows) @ T_wc[:3, :3].T
 
 
-def project(
+def world_pixels(
     camera: Camera, T_wc: Float64, points: NDArray[np.floating]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], Float64, Bools]:
     """Return the rows, columns and depths of ``points`` [n, 3], and which are inside the image."""
-    x, y, z = se3.transform_points(se3.inverse(T_wc), points).T
-    front = z > 0.05
-    depth = np.where(front, z, 1.0)
-    columns = np.rint(camera.fx * x / depth + camera.cx).astype(np.intp)
-    rows = np.rint(camera.fy * y / depth + camera.cy).astype(np.intp)
-    inside = front & (rows >= 0) & (rows < camera.height) & (columns >= 0) & (columns < camera.width)
-    return np.where(inside, rows, 0), np.where(inside, columns, 0), z, inside
+    local = se3.transform_points(se3.inverse(T_wc), points)
+    rows, columns, inside = camera.pixels_of(local)
+    return rows, columns, local[:, 2], inside

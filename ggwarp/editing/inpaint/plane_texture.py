@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ggwarp.editing.inpaint.holes import PlaneHole
 from ggwarp.editing.inpaint.image_inpainting import Inpaint, Picture
-from ggwarp.editing.inpaint.object_views import ObjectView, project
+from ggwarp.editing.inpaint.object_views import ObjectView, world_pixels
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from ggwarp.types import Float32, Float64
@@ -80,12 +80,12 @@ def _shown(
     points: Float64, view: ObjectView, camera: Camera, tolerance: float
 ) -> tuple[NDArray[np.intp], Float32]:
     """Return which of ``points`` [n, 3] a view shows, apart from the object, and their colours (0..1)."""
-    rows, columns, z, inside = project(camera, view.T_wc, points)
+    rows, columns, z, inside = world_pixels(camera, view.T_wc, points)
     mixed = cv2.dilate(view.touched.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
     agree = np.abs(view.depth[rows, columns] - z) <= tolerance * (1.0 + z)
     index = np.nonzero(inside & agree & ~mixed[rows, columns])[0]
-    x, y, z = se3.transform_points(se3.inverse(view.T_wc), points[index]).T
-    return index, sampled(view.rgb, camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy)
+    pixels, _ = camera.project(se3.transform_points(se3.inverse(view.T_wc), points[index]))
+    return index, sampled(view.rgb, *pixels.T)
 
 
 def sampled(picture: NDArray[Any], columns: Float64, rows: Float64) -> Float32:

@@ -92,9 +92,8 @@ def surface_normals(depth: Float32, camera: Camera) -> Float32:
     """Return [h, w, 3] unit normals in the camera frame, towards the camera; 0 where unknown."""
     smooth = cv2.bilateralFilter(depth, 5, 0.05, 2.0)
     h, w = depth.shape
-    x = (np.arange(w, dtype=np.float32) - camera.cx) / camera.fx
-    y = ((np.arange(h, dtype=np.float32) - camera.cy) / camera.fy)[:, None]
-    points = np.stack([x * smooth, y * smooth, smooth], axis=-1)
+    u, v = np.arange(w, dtype=np.float32), np.arange(h, dtype=np.float32)[:, None]
+    points = camera.back_project(u, v, smooth)
     padded = np.pad(points, ((1, 1), (1, 1), (0, 0)), mode="edge")
     du = padded[1:-1, 2:] - padded[1:-1, :-2]
     dv = padded[2:, 1:-1] - padded[:-2, 1:-1]
@@ -137,7 +136,7 @@ def seed_gaussians(
     assert frame.depth is not None
     rows, cols = choose_pixels(density, frame.index)
     z = frame.depth[rows, cols]
-    points = np.stack([(cols - camera.cx) / camera.fx * z, (rows - camera.cy) / camera.fy * z, z], axis=1)
+    points = camera.back_project(cols, rows, z)
     normals = surface_normals(frame.depth, camera)[rows, cols]
     towards = -points / np.linalg.norm(points, axis=1, keepdims=True)
     unknown = ~normals.any(axis=1)

@@ -152,8 +152,7 @@ class Relocaliser:
         grey = cv2.GaussianBlur(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), (3, 3), 0.0)
         grey, depth = np.asarray(grey, np.float32), np.asarray(depth, np.float32)
         v, u = np.nonzero(depth > 0.0)
-        z, k = depth[v, u], self._camera
-        points = np.stack([(u - k.cx) / k.fx * z, (v - k.cy) / k.fy * z, z], axis=1).astype(np.float32)
+        points = self._camera.back_project(u, v, depth[v, u]).astype(np.float32)
         return _View(grey, depth, points, grey[v, u])
 
     def _distances(self, T_wc: Float64) -> Float64:
@@ -181,14 +180,10 @@ class Relocaliser:
         Args:
             T: [4, 4] from the camera of ``view`` to that of ``other``.
         """
-        k, c = self._camera, self._config
+        c = self._config
         x = view.points @ T[:3, :3].T.astype(np.float32) + T[:3, 3].astype(np.float32)
-        front = x[:, 2] > 0.1
-        x, shades = x[front], view.shades[front]
-        u = np.rint(x[:, 0] / x[:, 2] * k.fx + k.cx)
-        v = np.rint(x[:, 1] / x[:, 2] * k.fy + k.cy)
-        inside = (u >= 0) & (u < k.width) & (v >= 0) & (v < k.height)
-        u, v, z, shades = u[inside].astype(int), v[inside].astype(int), x[inside, 2], shades[inside]
+        v, u, inside = self._camera.pixels_of(x)
+        u, v, z, shades = u[inside], v[inside], x[inside, 2], view.shades[inside]
         seen = other.depth[v, u]
         gap = seen - z
         tolerance = slack * (c.tolerance + c.growth * z)

@@ -66,7 +66,7 @@ def scene_gaussians(count: int, camera: Camera, *, size: float, identity: bool, 
     wave = v / camera.height + 0.2 * np.sin(4.0 * np.pi * u / camera.width)
     z = np.empty(count)
     z[np.argsort(wave + rng.normal(scale=_ROUGHNESS, size=count))] = np.linspace(_NEAREST, _FARTHEST, count)
-    means = np.stack([(u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z], axis=1)
+    means = camera.back_project(u, v, z)
     quats = rng.normal(size=(count, 4))
     sigma = _FACING * size * z / camera.fx
     scales = sigma[:, None] * np.array([_STRETCH, 1.0 / _STRETCH, _FLATNESS])
