@@ -29,7 +29,9 @@ def gicp(
     Args:
         points: [n, 3] float32.
         covariances: [n, 3, 3] float32, A.
-        target_means, target_quats, target_scales: [m, 3], [m, 4] (w first), [m, 3] float32: b and B.
+        target_means: [m, 3] float32, b.
+        target_quats: [m, 4] float32, w first, with the scales B.
+        target_scales: [m, 3] float32, standard deviations.
         T_start: [4, 4] where to start; None: the identity.
         radii: farthest match, coarse to fine, in the points' unit.
         iterations: linearisations per radius at most.
