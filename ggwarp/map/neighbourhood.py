@@ -22,7 +22,7 @@ class Neighbourhood:
     Centres move by millimetres at most between rebuilds: the neighbours are those of the last one.
 
     Attributes:
-        samples: [S] int, the Gaussians last drawn.
+        samples: [S] int, the Gaussians last sampled.
         neighbours: [S, k] int, their nearest, themselves first.
     """
 
@@ -41,7 +41,7 @@ class Neighbourhood:
         self.samples = wp.empty(samples, dtype=int, device=device)
         self.neighbours = wp.empty((samples, k), dtype=int, device=device)
 
-    def draw(self) -> None:
+    def sample(self) -> None:
         """Fill ``samples`` with random Gaussians and ``neighbours`` with their nearest."""
         self._rebuild()
         draw_points(

@@ -1,43 +1,61 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A frame's segments against the map's objects: which is which, when the masks' ids do not say.
+"""Mask association: which object of the map each of a frame's segments is.
 
-Only pixels where the map shows the frame's own surface count. An object and a segment are compared by their
-intersection over union there, so that what a segment adds to an object does not speak against it, and paired
-one to one so that the sum is largest.
+Where the masks' ids mean the same object in every frame, they say so. Where they do not, segments are compared
+with what the map shows. Only pixels where the map shows the frame's own surface count. An object and a segment
+are compared by their intersection over union there, so that what a segment adds to an object does not speak
+against it, and paired one to one so that the sum is largest.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ggwarp.objects.class_table import IGNORED, NO_OBJECT, ClassTable
-from ggwarp.objects.labels import Labels, contingency, ranked, thinned
-from ggwarp.objects.mask_view import PosedDepth
+from ggwarp.objects.labels import Labels, contingency, ranked
+from ggwarp.objects.mask_view import MapKnowledge, MaskView, PosedDepth
 from ggwarp.objects.tentative import Candidates
 
+_LEAST_IOU = 0.2  # a segment and an object that overlap less are not the same
+_NEW_SHARE = 0.5  # a segment without an object is new where the map shows less than this share of it...
+_LEAST_AREA = 2e-4  # ... and it covers at least this share of the image
+_CONTAINED = 0.6  # a segment without an object of its own is a part of the one that has so much of it
+_VIEWS = 2  # keyframes that must show an object before it counts as one
+
+
+class Association(Protocol):
+    """Says which object of the map each pixel of a mask is of."""
+
+    def associate(self, mask: Labels, surface: PosedDepth, knowledge: MapKnowledge | None) -> MaskView:
+        """Return what ``mask`` [h, w] says.
+
+        Args:
+            mask: an id for each pixel; 0 = no object, negative = not labelled.
+            surface: where the pixels are.
+            knowledge: what the map knows of them; None while the map is empty.
+        """
+        ...
+
+
+class TrackedIds:
+    """Takes the masks' ids for the objects', which a tracker followed through the frames."""
+
+    def __init__(self, classes: ClassTable) -> None:
+        """Prepare to encode; ``classes`` grows with every new id."""
+        self._classes = classes
+
+    def associate(self, mask: Labels, surface: PosedDepth, knowledge: MapKnowledge | None) -> MaskView:
+        """See :meth:`Association.associate`."""
+        return MaskView(surface, self._classes.encode(mask), knowledge)
+
 
 @dataclass(frozen=True)
-class AssociationConfig:
-    """When a segment is an object of the map, and when it is a new one."""
-
-    least_iou: float = 0.2
-    """A segment and an object that overlap less are not the same."""
-    new_share: float = 0.5
-    """A segment without a match is new where the map shows less than this share of it..."""
-    least_area: float = 2e-4
-    """... and it covers at least this share of the image."""
-    contained: float = 0.6
-    """A segment without a match is a part of the object that has so much of it."""
-    sightings: int = 2
-    """Keyframes that must show an object before it counts as one."""
-
-
-@dataclass(frozen=True)
-class Matching:
+class SegmentMatches:
     """What became of each of S segments.
 
     Attributes:
@@ -53,99 +71,75 @@ class Matching:
     open_segments: set[int]
 
 
-@dataclass(frozen=True)
-class AssociatedMask:
-    """What a mask means.
-
-    Attributes:
-        labels: [h, w] class of each pixel; negative: not known.
-        segments: [h, w] segment of each pixel; negative: none.
-        fresh: classes that the map shows as others so far, and is to learn fast.
-    """
-
-    labels: Labels
-    segments: Labels
-    fresh: set[int] = field(default_factory=set)
-
-
-def match_segments(segments: Labels, known: Labels, classes: int, config: AssociationConfig) -> Matching:
+def match_segments(segments: Labels, seen: Labels, classes: int) -> SegmentMatches:
     """Match a frame's segments with the map's objects.
 
     Args:
         segments: [h, w] segment 0..S-1 of each pixel; negative: none.
-        known: [h, w] class that the map shows there; negative: none.
+        seen: [h, w] class that the map shows there; negative: none.
         classes: classes so far; class 0, "no object", is matched with nothing.
     """
     from scipy.optimize import linear_sum_assignment
 
-    grid = thinned(*segments.shape)
-    segments, known = segments[grid], known[grid]
     count = int(segments.max(initial=-1)) + 1
     sizes = np.bincount(segments[segments >= 0], minlength=count)
     size = max(count, classes)
-    table = contingency(segments, known, size)[:count, :classes]
+    table = contingency(segments, seen, size)[:count, :classes]
     shown = table.sum(axis=1)
     table[:, 0] = 0
-    areas = np.bincount(known[known >= 0], minlength=classes)
+    areas = np.bincount(seen[seen >= 0], minlength=classes)
     unions = np.maximum(shown[:, None] + areas - table, 1)
     ious = table / unions
     rows, columns = linear_sum_assignment(ious, maximize=True)
-    good = ious[rows, columns] >= config.least_iou
+    good = ious[rows, columns] >= _LEAST_IOU
 
     out = np.full(count, -1, np.int32)
     out[rows[good]] = columns[good]
     paired = out >= 0
-    least = config.least_area * segments.size
-    large = sizes >= least
-    new = ~paired & large & (shown < config.new_share * sizes)
+    large = sizes >= _LEAST_AREA * segments.size
+    new = ~paired & large & (shown < _NEW_SHARE * sizes)
     best = table.argmax(axis=1).astype(np.int32)
-    part = ~paired & ~new & (table.max(axis=1, initial=0) > config.contained * np.maximum(shown, 1))
+    part = ~paired & ~new & (table.max(axis=1, initial=0) > _CONTAINED * np.maximum(shown, 1))
     rest = set(np.nonzero(large & ~paired & ~new)[0].tolist())
-    return Matching(np.where(part, best, out), new, paired, rest)
+    return SegmentMatches(np.where(part, best, out), new, paired, rest)
 
 
 class SegmentAssociation:
     """Finds each frame's segments among the map's objects, and begins new ones."""
 
-    def __init__(self, config: AssociationConfig, classes: ClassTable) -> None:
-        """Prepare to match; ``classes`` grows with every object that begins."""
-        self._config = config
+    def __init__(self, classes: ClassTable) -> None:
+        """Prepare to associate; ``classes`` grows with every object that begins."""
         self._classes = classes
-        self._sightings: Counter[int] = Counter()
-        self._candidates = Candidates(config.sightings)
+        self._views: Counter[int] = Counter()
+        self._candidates = Candidates(_VIEWS)
 
-    def match(self, mask: Labels, known: Labels | None, view: PosedDepth) -> AssociatedMask:
-        """Return what ``mask`` [h, w] means.
-
-        Args:
-            mask: any id for each segment; 0 = no object, negative = not labelled.
-            known: [h, w] class that the map shows there, negative: none; None while the map is empty.
-            view: where the pixels are.
-        """
+    def associate(self, mask: Labels, surface: PosedDepth, knowledge: MapKnowledge | None) -> MaskView:
+        """See :meth:`Association.associate`; the ids of ``mask`` number the segments of this frame alone."""
         ids, ranks = ranked(mask)
         numbers = np.where(ids > 0, np.cumsum(ids > 0) - 1, IGNORED).astype(np.int32)
         segments = numbers[ranks]
-        if known is None:
-            known = np.full_like(mask, IGNORED)
-        matching = match_segments(segments, known, self._classes.count, self._config)
-        classes = matching.classes.copy()
-        for segment in np.nonzero(matching.new)[0].tolist():
-            classes[segment] = self._classes.begin()
-        fresh = self._follow(segments, matching, classes, view)
-        for index in {*classes[matching.paired | matching.new].tolist(), *fresh}:
-            self._sightings[index] += 1
-            if self._sightings[index] >= self._config.sightings:
-                self._classes.name(index)
+        grid, seen = surface.grid, np.full_like(mask, IGNORED) if knowledge is None else knowledge.seen
+        matches = match_segments(segments[grid], seen[grid], self._classes.count)
+        classes = matches.classes.copy()
+        for segment in np.nonzero(matches.new)[0].tolist():
+            classes[segment] = self._classes.new_class()
+        fresh = self._follow(segments, matches, classes, surface)
+        for index in {*classes[matches.paired | matches.new].tolist(), *fresh}:
+            self._views[index] += 1
+            if self._views[index] >= _VIEWS:
+                self._classes.assign_id(index)
         of_segment = np.append(classes, IGNORED)  # of no segment: the last
-        labels = np.where(mask == NO_OBJECT, NO_OBJECT, of_segment[segments])
-        return AssociatedMask(labels.astype(np.int32), segments, fresh)
+        labels = np.where(mask == NO_OBJECT, NO_OBJECT, of_segment[segments]).astype(np.int32)
+        return MaskView(surface, labels, knowledge, segments, frozenset(fresh))
 
-    def _follow(self, segments: Labels, matching: Matching, classes: Labels, view: PosedDepth) -> set[int]:
+    def _follow(
+        self, segments: Labels, matches: SegmentMatches, classes: Labels, surface: PosedDepth
+    ) -> set[int]:
         """Write the class of segments that are objects inside others; return those classes."""
-        fresh = set()
-        for segment, candidate in self._candidates.follow(segments, matching.open_segments, view):
+        fresh = set[int]()
+        for segment, candidate in self._candidates.follow(segments, matches.open_segments, surface):
             if candidate.index is None:
-                candidate.index = self._classes.begin()
+                candidate.index = self._classes.new_class()
             classes[segment] = candidate.index
             fresh.add(candidate.index)
         return fresh

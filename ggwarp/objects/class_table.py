@@ -2,9 +2,9 @@
 """Object ids: the masks' own ids on one side, dense class indices on the other.
 
 Masks may name objects by any non-negative integer; the classifier wants 0..classes-1. The
-table grows with every new id, so that no id is dropped. Two classes found to be one object are joined: they
-go on as two for the classifier, and under one id for everyone else. An id found to stand for two objects
-is one's name, and the other's source.
+table grows with every new id, so that no id is dropped. Two classes found to be one object are merged: they
+go on as two for the classifier, and under one id for everyone else. When an id is found to stand for two
+objects, it stays the id of one of them, and the other gets an id of its own.
 """
 
 from __future__ import annotations
@@ -18,32 +18,32 @@ NO_OBJECT = 0
 """The masks' id, and the class, of pixels that belong to no object."""
 
 IGNORED = -1
-"""Label of pixels that teach nothing."""
+"""Label of pixels that say nothing."""
 
 
 class ClassTable:
     """Mask ids, classes and the ids that objects go by; class 0 is "no object"."""
 
     def __init__(self) -> None:
-        self._names = [NO_OBJECT]  # class -> the id it goes by; NO_OBJECT: none yet
-        self._heads = [0]  # class -> the class that it was joined to, or itself
-        self._lookup: dict[int, int] = {NO_OBJECT: 0}  # mask id -> class
-        self._like: dict[int, int] = {}  # class -> the class whose mask id is its own, too
+        self._ids = [NO_OBJECT]  # class -> the id it goes by; NO_OBJECT: none yet
+        self._merged_into = [0]  # class -> the class that it was merged into, or itself
+        self._class_of_id: dict[int, int] = {NO_OBJECT: 0}  # mask id -> class
+        self._shares_id_of: dict[int, int] = {}  # class -> the class whose mask id stands for it, too
 
     @property
     def count(self) -> int:
         """Classes so far, "no object" included."""
-        return len(self._names)
+        return len(self._ids)
 
     @property
     def ids(self) -> NDArray[np.int64]:
         """[count] the id of each class's object: the masks' own, where they have one for it."""
-        return np.array(self._names, np.int64)[self._heads]
+        return np.array(self._ids, np.int64)[self._merged_into]
 
     @property
     def mask_ids(self) -> frozenset[int]:
         """The ids that masks had, "no object" included; others were made up."""
-        return frozenset(self._lookup)
+        return frozenset(self._class_of_id)
 
     def encode(self, mask: NDArray[np.int32]) -> NDArray[np.int32]:
         """Return the class of each pixel of ``mask`` [h, w], adding classes for new ids.
@@ -52,79 +52,80 @@ class ClassTable:
         """
         present, ranks = ranked(mask)
         classes = [IGNORED if raw < 0 else self._class_of(raw) for raw in present.tolist()]
-        return self.joined(np.array(classes, np.int32))[ranks]
+        return self.merged(np.array(classes, np.int32))[ranks]
 
     def decode(self, classes: NDArray[np.int32]) -> NDArray[np.int32]:
         """Return the ids of ``classes`` (any shape); ignored or unknown ones become 0."""
         known = (classes >= 0) & (classes < self.count)
         return np.where(known, self.ids[np.where(known, classes, 0)], NO_OBJECT).astype(np.int32)
 
-    def joined(self, classes: NDArray[np.int32]) -> NDArray[np.int32]:
+    def merged(self, classes: NDArray[np.int32]) -> NDArray[np.int32]:
         """Return ``classes`` (any shape), each as the class that stands for its object."""
-        heads = np.array([*self._heads, IGNORED], np.int32)
-        return heads[classes]  # IGNORED is the last
+        merged_into = np.array([*self._merged_into, IGNORED], np.int32)
+        return merged_into[classes]  # IGNORED is the last
 
-    def begin(self, like: int | None = None) -> int:
-        """Return a new class that no mask id stands for; it goes by "no object" until it is named.
+    def new_class(self, *, shares_id_of: int | None = None) -> int:
+        """Return a new class; it goes by "no object" until it is given an id.
 
         Args:
-            like: the class whose mask id stands for the new one's object, too.
+            shares_id_of: the class whose mask id stands for the new one's object, too.
         """
-        self._names.append(NO_OBJECT)
-        self._heads.append(self.count - 1)
-        if like is not None:
-            self._like[self.count - 1] = like
+        self._ids.append(NO_OBJECT)
+        self._merged_into.append(self.count - 1)
+        if shares_id_of is not None:
+            self._shares_id_of[self.count - 1] = shares_id_of
         return self.count - 1
 
-    def namesake_of(self, classes: NDArray[np.int32]) -> NDArray[np.int32]:
-        """Return ``classes`` (any shape), each as the class that its mask id stands for."""
+    def id_owners(self, classes: NDArray[np.int32]) -> NDArray[np.int32]:
+        """Return ``classes`` (any shape), each as the class that owns the mask id it comes under."""
         table = np.arange(self.count + 1, dtype=np.int32)
         table[-1] = IGNORED
-        for index, like in self._like.items():
-            table[index] = like
-        return self.joined(table[classes])
+        for index, owner in self._shares_id_of.items():
+            table[index] = owner
+        return self.merged(table[classes])
 
-    def share_an_id(self, one: int, other: int) -> bool:
+    def same_mask_id(self, one: int, other: int) -> bool:
         """Whether a mask's id stands for the objects of both classes."""
-        first, second = self.namesake_of(np.array([one, other], np.int32)).tolist()
+        first, second = self.id_owners(np.array([one, other], np.int32)).tolist()
         return first == second
 
-    def name(self, index: int) -> int:
+    def assign_id(self, index: int) -> int:
         """Give class ``index`` the lowest free id if it has none; return its id."""
-        if self._names[index] == NO_OBJECT and index > 0:
-            taken = {*self._names, *self._lookup}
-            self._names[index] = next(i for i in range(1, len(taken) + 2) if i not in taken)
-        return self._names[index]
+        if self._ids[index] == NO_OBJECT and index > 0:
+            taken = {*self._ids, *self._class_of_id}
+            self._ids[index] = next(i for i in range(1, len(taken) + 2) if i not in taken)
+        return self._ids[index]
 
-    def join(self, kept: int, gone: int) -> None:
-        """Let class ``gone``, and what was joined to it, stand for the object of class ``kept``.
+    def merge(self, kept: int, gone: int) -> None:
+        """Let class ``gone``, and what was merged into it, stand for the object of class ``kept``.
 
         Raises:
             ValueError: one of them is "no object".
         """
-        kept, old = self._heads[kept], self._heads[gone]
+        kept, old = self._merged_into[kept], self._merged_into[gone]
         if 0 in (kept, old):
-            raise ValueError(f"classes {kept} and {gone}: no object is not joined to one")
-        if self._names[kept] == NO_OBJECT:
-            self._names[kept] = self._names[old]
-        self._heads = [kept if head == old else head for head in self._heads]
+            raise ValueError(f'classes {kept} and {gone}: "no object" is not merged with an object')
+        if self._ids[kept] == NO_OBJECT:
+            self._ids[kept] = self._ids[old]
+        self._merged_into = [kept if into == old else into for into in self._merged_into]
 
     def sources(self) -> dict[int, tuple[int, ...]]:
         """Return id -> the mask ids that became it, where they are not itself alone."""
         found: dict[int, list[int]] = {}
         ids = self.ids.tolist()
-        for raw, index in self._lookup.items():
-            alike = [i for i, like in self._like.items() if self._heads[like] == self._heads[index]]
-            for name in {ids[i] for i in (index, *alike)}:
-                found.setdefault(name, []).append(raw)
+        for raw, index in self._class_of_id.items():
+            merged = self._merged_into
+            sharing = [i for i, owner in self._shares_id_of.items() if merged[owner] == merged[index]]
+            for identifier in {ids[i] for i in (index, *sharing)}:
+                found.setdefault(identifier, []).append(raw)
         return {i: tuple(sorted(raws)) for i, raws in sorted(found.items()) if raws != [i]}
 
     def _class_of(self, raw: int) -> int:
-        if raw not in self._lookup:
-            others = [index for index, name in enumerate(self._names) if name == raw]
-            self._lookup[raw] = self.begin()
-            self._names[-1] = raw
-            for index in others:  # named before the id was known to be a mask's
-                self._names[index] = NO_OBJECT
-                self.name(index)
-        return self._lookup[raw]
+        if raw not in self._class_of_id:
+            others = [index for index, taken in enumerate(self._ids) if taken == raw]
+            self._class_of_id[raw] = self.new_class()
+            self._ids[-1] = raw
+            for index in others:  # had it before it was known to be a mask's
+                self._ids[index] = NO_OBJECT
+                self.assign_id(index)
+        return self._class_of_id[raw]

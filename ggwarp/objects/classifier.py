@@ -28,13 +28,16 @@ from ggwarp.types import Float32
 
 IDENTITY_SIZE = 16
 
+_CLASSES = 100  # room for so many at first; it grows with the ids
+_INTERVAL_3D = 5  # the 3-D term is evaluated at every N-th iteration
+_SAMPLES_3D = 1000  # Gaussians sampled for the 3-D term
+_NEIGHBOURS_3D = 5  # nearest neighbours compared with each sample
+
 
 @dataclass(frozen=True)
 class ClassifierConfig:
     """How identities are learnt."""
 
-    classes: int = 100
-    """Room for so many classes at first; it grows with the ids."""
     weight: float = 0.1
     """l_obj of the loss (GG-SLAM eq. 5)."""
     weight_3d: float = 0.0
@@ -47,12 +50,21 @@ class ClassifierConfig:
     sample_stride: int = 4
     """Identities are rendered and compared on one in so many blocks of 16 x 4 pixels, drawn for each
     iteration: most of what identities cost goes with their number."""
-    interval_3d: int = 5
-    """The 3-D term is evaluated every so many iterations."""
-    samples_3d: int = 1000
-    """Gaussians sampled for the 3-D term."""
-    neighbours_3d: int = 5
-    """Nearest neighbours compared with each sample."""
+
+
+@dataclass(frozen=True)
+class IdentitySeeds:
+    """What the Gaussians that a frame adds begin as.
+
+    Attributes:
+        codes: [classes, 16] the identity that each class starts from.
+        classes: [h, w] class of the Gaussians that begin at each pixel, negative: not known; None: nowhere known.
+        votes: [h, w] class that each pixel votes for, negative: none; None: nothing votes.
+    """
+
+    codes: Float32
+    classes: NDArray[np.int32] | None = None
+    votes: NDArray[np.int32] | None = None
 
 
 def random_identities(count: int, rng: np.random.Generator) -> Float32:
@@ -68,7 +80,15 @@ class Classifier:
     rightly from the start, and training refines what seeding got wrong.
     """
 
-    def __init__(self, config: ClassifierConfig, gaussians: GaussianMap, *, seed: int) -> None:
+    def __init__(
+        self, config: ClassifierConfig, gaussians: GaussianMap, *, seed: int, capacity: int = _CLASSES
+    ) -> None:
+        """Prepare to classify ``gaussians``, of no object so far.
+
+        Args:
+            seed: of the random codes, and of where losses are sampled.
+            capacity: room for so many classes at first.
+        """
         self._config = config
         self._map = gaussians
         self._device = gaussians.device
@@ -78,10 +98,10 @@ class Classifier:
         self._draws, phase = (wp.zeros(1, dtype=int, device=self._device) for _ in range(2))
         self._sample = Sample(config.sample_stride, phase)
         self._neighbourhood = Neighbourhood(
-            gaussians, samples=config.samples_3d, k=config.neighbours_3d + 1, seed=seed
+            gaussians, samples=_SAMPLES_3D, k=_NEIGHBOURS_3D + 1, seed=seed
         )
         self._image_workspace: Any = None
-        self._allocate(config.classes)
+        self._allocate(capacity)
         self.grow(1)
 
     @property
@@ -102,7 +122,7 @@ class Classifier:
         self._biases[begin:count].assign(-0.5 * (new**2).sum(axis=1))
 
     def draw_sample(self, labels: wp.array | None) -> Sample:
-        """Draw where the next view's identities are rendered and compared: nowhere if it teaches nothing."""
+        """Draw where the next view's identities are rendered and compared: nowhere if it says nothing of objects."""
         none = labels is None or self.count < 2
         draw_sample(self._sample, seed=self._seed, draws=self._draws, none=none, device=self._device)
         return self._sample
@@ -112,7 +132,7 @@ class Classifier:
 
         Args:
             renderer: after its forward pass with the sample drawn for ``labels``.
-            labels: [h, w] class of each pixel; None: this view teaches nothing.
+            labels: [h, w] class of each pixel; None: this view says nothing of objects.
             losses: see :data:`ggwarp.kernels.losses.rgbd.LOSS_COUNT`.
         """
         if labels is None or self.count < 2:
@@ -142,20 +162,18 @@ class Classifier:
         )
 
     def begin_3d(self, iteration: int) -> bool:
-        """Return whether the 3-D term is due; draw its Gaussians then. Reads the map if that has changed."""
-        c = self._config
-        due = self.count > 1 and c.weight_3d != 0.0 and iteration % c.interval_3d == 0
+        """Return whether the 3-D term is due; sample its Gaussians then. Reads the map if that has changed."""
+        due = self.count > 1 and self._config.weight_3d != 0.0 and iteration % _INTERVAL_3D == 0
         if due:
-            self.draw_3d()
+            self.sample_3d()
         return due
 
-    def draw_3d(self) -> None:
-        """Draw the Gaussians of the 3-D term."""
-        self._neighbourhood.draw()
+    def sample_3d(self) -> None:
+        """Sample the Gaussians of the 3-D term."""
+        self._neighbourhood.sample()
 
     def evaluate_3d(self, renderer: Renderer, losses: wp.array) -> None:
-        """Add the 3-D term of the Gaussians drawn to the gradients; after the renderer's adjoint."""
-        c = self._config
+        """Add the 3-D term of the Gaussians sampled to the gradients; after the renderer's adjoint."""
         neighbour_divergence(
             self._map.fields["identities"],
             samples=self._neighbourhood.samples,
@@ -170,7 +188,7 @@ class Classifier:
             losses=losses,
             workspace=self._workspace_3d,
             # Each sample is its own first neighbour, at no divergence.
-            weight=c.weight_3d * (c.neighbours_3d + 1) / c.neighbours_3d,
+            weight=self._config.weight_3d * (_NEIGHBOURS_3D + 1) / _NEIGHBOURS_3D,
             device=self._device,
         )
 
@@ -235,7 +253,7 @@ class Classifier:
         self._weight_moments, self._bias_moments = zeros((2, capacity), vec16), zeros((2, capacity), float)
         self._steps = zeros(capacity, wp.int32)
         self._workspace_3d = allocate_neighbours(
-            self._config.samples_3d, self._config.neighbours_3d + 1, capacity=capacity, device=self._device
+            _SAMPLES_3D, _NEIGHBOURS_3D + 1, capacity=capacity, device=self._device
         )
 
     def _enlarge(self, capacity: int) -> None:

@@ -100,7 +100,7 @@ def inventory(
     *,
     names: dict[int, str] | None = None,
     sources: dict[int, tuple[int, ...]] | None = None,
-    sightings: ObjectVisibility | None = None,
+    visibility: ObjectVisibility | None = None,
     probabilities: Float32 | None = None,
 ) -> list[ObjectRecord]:
     """Describe every object of a map.
@@ -111,7 +111,7 @@ def inventory(
         object_ids: [n] ids as the masks name them, 0 = none; None: the map knows no objects.
         names: id -> class name, where the data gives one.
         sources: id -> the masks' ids that became it, where they are not itself alone.
-        sightings: what the keyframes showed, by id.
+        visibility: what the keyframes showed, by id.
         probabilities: [n] of the class that gave each Gaussian its id.
 
     Returns:
@@ -126,7 +126,7 @@ def inventory(
         if identifier == NO_OBJECT:
             continue
         source_ids = (sources or {}).get(identifier, (identifier,))
-        seen = sightings.of([identifier]) if sightings is not None else None
+        seen = visibility.of([identifier]) if visibility is not None else None
         rgb = np.clip(0.5 + SH_C0 * colours[members].mean(0), 0.0, 1.0)
         body = means[members][main_parts(means[members])]
         records.append(

@@ -17,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggwarp.geometry.voxels import voxel_keys
-from ggwarp.objects.labels import Labels, contingency, ranked, thinned
-from ggwarp.objects.mask_view import PosedDepth
+from ggwarp.objects.class_table import ClassTable
+from ggwarp.objects.labels import Labels, contingency, ranked
+from ggwarp.objects.mask_view import MaskView
 
-_CELL = 0.25  # metres
+_VOXEL = 0.25  # metres
 _LEAST_PIXELS = 20
 _MAJORITY = 0.5
 _CLEAR = 0.8
@@ -34,25 +35,34 @@ class LabelHistory:
     By place, as an object begun under another's id is not that other because that one often came.
     """
 
-    def __init__(self) -> None:
-        self._views: Counter[tuple[int, int, int]] = Counter()  # (cell, object, label)
+    def __init__(self, classes: ClassTable) -> None:
+        """Prepare to count; ``classes`` says which objects share an id."""
+        self._classes = classes
+        self._views: Counter[tuple[int, int, int]] = Counter()  # (voxel, object, label)
 
-    def overruled(
-        self, known: Labels, given: Labels, view: PosedDepth, *, anew: bool = True
-    ) -> list[tuple[int, int]]:
-        """Take in a view; return (object, label) where its label is to be disbelieved.
+    def correct(self, mask: MaskView, *, anew: bool = True) -> MaskView:
+        """Take in a view; return it with the labels replaced that are wrong about an object of the map.
 
         Args:
-            known: [h, w] the map's class where it is sure, else negative.
-            given: [h, w] the class that the mask gives.
-            view: where the pixels are.
+            mask: with what the map knows.
             anew: count the view; False: it was taken in before.
         """
-        grid = np.zeros(known.shape, bool)
-        grid[thinned(*known.shape)] = True
-        pixels = grid & (known >= 0) & (given >= 0) & (view.depth > 0.0)
+        assert mask.knowledge is not None
+        # Of objects that share an id the place says which it is.
+        wrong = [p for p in self.wrong_labels(mask, anew=anew) if not self._classes.same_mask_id(*p)]
+        return mask.with_labels(corrected(mask.knowledge.known, mask.labels, wrong)) if wrong else mask
+
+    def wrong_labels(self, mask: MaskView, *, anew: bool = True) -> list[tuple[int, int]]:
+        """Take in a view; return (object, label) where its label is to be disbelieved.
+
+        Arguments as of :meth:`correct`.
+        """
+        assert mask.knowledge is not None
+        surface, grid = mask.surface, mask.surface.grid
+        known, given = mask.knowledge.known[grid], mask.labels[grid]
+        pixels = (known >= 0) & (given >= 0) & (surface.depth[grid] > 0.0)
         objects, labels = known[pixels], given[pixels]
-        places = _places(voxel_keys(view.every_point(pixels), _CELL), objects, labels)
+        places = _places(voxel_keys(surface.grid_points[pixels], _VOXEL), objects, labels)
         if anew:
             self._views.update(places.labelled)
         table = contingency(objects, labels, max(objects.max(initial=0), labels.max(initial=0)) + 1)
@@ -68,7 +78,7 @@ class LabelHistory:
                 wrong.append((m, label))
         return wrong
 
-    def join(self, kept: int, gone: int) -> None:
+    def merge(self, kept: int, gone: int) -> None:
         """Count what was seen of class ``gone`` for ``kept``."""
         for place, m, label in [key for key in self._views if gone in key[1:]]:
             key = place, kept if m == gone else m, kept if label == gone else label
@@ -77,7 +87,7 @@ class LabelHistory:
     def _mean_views(self, places: _Places, m: int, label: int) -> float:
         """Return in how many views what is seen of object ``m`` was called ``label``, by pixel."""
         mine = places.objects == m
-        views = [self._views[place, m, label] for place in places.cells[mine].tolist()]
+        views = [self._views[place, m, label] for place in places.voxels[mine].tolist()]
         return float(np.average(views, weights=places.sizes[mine]))
 
 
@@ -86,19 +96,19 @@ class _Places:
     """The places at which a view shows objects of the map.
 
     Attributes:
-        cells, objects, sizes: [k] cell, object and number of pixels of each.
-        labelled: (cell, object, label) where most of these pixels have one label.
+        voxels, objects, sizes: [k] voxel, object and number of pixels of each.
+        labelled: (voxel, object, label) where most of these pixels have one label.
     """
 
-    cells: NDArray[np.int64]
+    voxels: NDArray[np.int64]
     objects: NDArray[np.int64]
     sizes: NDArray[np.int64]
     labelled: list[tuple[int, int, int]]
 
 
-def _places(cells: NDArray[np.int64], objects: Labels, labels: Labels) -> _Places:
-    """Sort pixels, [n] each, by place."""
-    numbers, ranks = ranked(cells)
+def _places(voxels: NDArray[np.int64], objects: Labels, labels: Labels) -> _Places:
+    """Sort pixels, [n] each, by the voxel that they lie in."""
+    numbers, ranks = ranked(voxels)
     size = int(max(objects.max(initial=0), labels.max(initial=0))) + 1
     keys, counts = np.unique((ranks * size + objects) * size + labels, return_counts=True)
     pairs, of_pair = np.unique(keys // size, return_inverse=True)

@@ -7,49 +7,80 @@ as two.
 
 from __future__ import annotations
 
+import logging
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 
-from ggwarp.objects.labels import Labels, contingency, thinned
+from ggwarp.objects.class_table import IGNORED, NO_OBJECT, ClassTable
+from ggwarp.objects.labels import Labels, contingency
+from ggwarp.objects.mask_view import MaskView
+
+log = logging.getLogger(__name__)
+
+_TOGETHER = 2  # keyframes that must cover both objects with one segment
+_APART = 0.2  # ... for each of them, at most so many that show two
+_COVERED = 0.6  # a segment covers an object when it has this share of what is seen of it...
+_LEAST_AREA = 4e-4  # ... which is at least this share of the image
 
 
-@dataclass(frozen=True)
-class MergingConfig:
-    """When two objects of the map become one."""
+class ClassRecords(Protocol):
+    """What is remembered of classes."""
 
-    together: int = 2
-    """Keyframes that must cover both with one segment; 0: objects are never joined."""
-    apart: float = 0.2
-    """... for each of them, at most so many that show two."""
-    covered: float = 0.6
-    """A segment covers an object when it has this share of what is seen of it..."""
-    least_area: float = 4e-4
-    """... which is at least this share of the image."""
+    def merge(self, kept: int, gone: int) -> None:
+        """Count what was seen of class ``gone`` for class ``kept``."""
+        ...
 
 
 class ObjectMerger:
-    """Counts how often two objects were shown as one, and as two."""
+    """Counts how often two objects were shown as one, and as two; merges those that are one."""
 
-    def __init__(self, config: MergingConfig) -> None:
-        self._config = config
+    def __init__(
+        self, classes: ClassTable, *others: ClassRecords, together: int = _TOGETHER
+    ) -> None:
+        """Prepare to count.
+
+        Args:
+            classes: where objects are merged.
+            others: what else remembers classes, and has to forget those that are gone.
+            together: keyframes that must cover both with one segment; 0: objects are never merged.
+        """
+        self._classes = classes
+        self._others = others
+        self._least = together
         self._together: Counter[tuple[int, int]] = Counter()
         self._apart: Counter[tuple[int, int]] = Counter()
 
-    def see(self, known: Labels, segments: Labels, *, own_names: bool) -> list[tuple[int, int]]:
-        """Take in a keyframe; return the pairs (lower, higher class) that are one from now on.
+    def merge_shown_as_one(
+        self, mask: MaskView, grown_together: Sequence[tuple[int, int]], *, frame_index: int
+    ) -> None:
+        """Take in a frame, and merge the objects that are one from now on.
 
         Args:
-            known: [h, w] the map's class where it is sure, else negative.
-            segments: [h, w] the segment of each pixel; negative: none.
-            own_names: segments are numbered by the classes that the mask gives them: a segment shows the
-                object of its own number even where the map does not.
+            mask: before the map's corrections.
+            grown_together: pairs (kept, gone) of classes that are one, whatever masks show.
+            frame_index: for the log.
         """
-        c = self._config
-        if c.together == 0:
+        pairs = [pair for pair in self.shown_as_one(mask) if not self._classes.same_mask_id(*pair)]
+        for kept, gone in (*pairs, *grown_together):
+            ids = self._classes.ids
+            log.info("frame %d: objects %d and %d are one", frame_index, ids[kept], ids[gone])
+            self._classes.merge(kept, gone)
+            for records in (self, *self._others):
+                records.merge(kept, gone)
+
+    def shown_as_one(self, mask: MaskView) -> list[tuple[int, int]]:
+        """Take in a frame; return the pairs (lower, higher class) that are one from now on."""
+        if self._least == 0 or mask.knowledge is None:
             return []
-        covers = self._covers(known, segments, own_names)
+        grid = mask.surface.grid
+        covers = _covering_segments(
+            mask.knowledge.known[grid],
+            mask.labels[grid],
+            None if mask.segments is None else mask.segments[grid],
+        )
         found = []
         objects = sorted(covers)
         for i, one in enumerate(objects):
@@ -60,30 +91,11 @@ class ObjectMerger:
                     continue
                 self._together[pair] += 1
                 together = self._together[pair]
-                if together >= c.together and self._apart[pair] <= c.apart * together:
+                if together >= self._least and self._apart[pair] <= _APART * together:
                     found.append(pair)
         return found
 
-    def _covers(self, known: Labels, segments: Labels, own_names: bool) -> dict[int, int]:
-        """Return object -> the segment that covers it."""
-        c = self._config
-        grid = thinned(*known.shape)
-        known, segments = known[grid], segments[grid]
-        size = int(max(known.max(), segments.max(), 0)) + 1
-        table = contingency(known, segments, size)
-        seen, best, least = table.sum(axis=1), table.argmax(axis=1), c.least_area * known.size
-        covers = {
-            m: int(best[m])
-            for m in range(1, size)
-            if seen[m] >= least and table[m, best[m]] > c.covered * seen[m]
-        }
-        if own_names:
-            areas = np.bincount(segments[segments > 0], minlength=size)
-            for m in np.nonzero(areas >= least)[0].tolist():
-                covers.setdefault(m, m)
-        return covers
-
-    def join(self, kept: int, gone: int) -> None:
+    def merge(self, kept: int, gone: int) -> None:
         """Forget class ``gone``, which is ``kept`` from now on: what was seen of it goes there."""
         for counter in (self._together, self._apart):
             for pair in [p for p in counter if gone in p]:
@@ -91,3 +103,30 @@ class ObjectMerger:
                 other = pair[0] if pair[1] == gone else pair[1]
                 if other != kept:
                     counter[min(kept, other), max(kept, other)] += amount
+
+
+def _covering_segments(known: Labels, labels: Labels, segments: Labels | None) -> dict[int, int]:
+    """Return object -> the segment that covers it.
+
+    Where segments bear objects' numbers, one shows the object of its own number even where the map does not.
+
+    Args:
+        known: as of :class:`ggwarp.objects.mask_view.MapKnowledge`.
+        labels, segments: as of :class:`ggwarp.objects.mask_view.MaskView`.
+    """
+    numbered = segments is None
+    if segments is None:
+        segments = np.where(labels == NO_OBJECT, IGNORED, labels)
+    size = int(max(known.max(), segments.max(), 0)) + 1
+    table = contingency(known, segments, size)
+    seen, best, least = table.sum(axis=1), table.argmax(axis=1), _LEAST_AREA * known.size
+    covers = {
+        m: int(best[m])
+        for m in range(1, size)
+        if seen[m] >= least and table[m, best[m]] > _COVERED * seen[m]
+    }
+    if numbered:
+        areas = np.bincount(segments[segments > 0], minlength=size)
+        for m in np.nonzero(areas >= least)[0].tolist():
+            covers.setdefault(m, m)
+    return covers

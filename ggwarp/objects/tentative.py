@@ -35,27 +35,25 @@ class Candidates:
     """Those followed now.
 
     Attributes:
-        sightings: keyframes that must show one before it is taken for an object.
+        views: keyframes that must show one before it is taken for an object.
     """
 
-    sightings: int
+    views: int
     _followed: list[Candidate] = field(default_factory=list)
 
     def follow(
-        self, segments: Labels, open_segments: set[int], view: PosedDepth | None
+        self, segments: Labels, open_segments: set[int], surface: PosedDepth
     ) -> list[tuple[int, Candidate]]:
         """Take in a keyframe; return (segment, candidate) for those that are objects by now.
 
         Args:
             segments: [h, w] segment of each pixel; negative: none.
             open_segments: segments that are no object of the map by themselves.
-            view: where the pixels are; None: nothing is followed.
+            surface: where the pixels are.
         """
-        if view is None:
-            return []
         found: dict[int, Candidate] = {}
         for candidate in list(self._followed):
-            segment = _hit(view.look_up(candidate.points, segments), len(candidate.points))
+            segment = _hit(surface.look_up(candidate.points, segments), len(candidate.points))
             if segment is None:
                 continue
             if segment in open_segments and segment not in found:
@@ -66,12 +64,12 @@ class Candidates:
                 if candidate.count < 1:
                     self._followed.remove(candidate)
         for segment in sorted(open_segments):
-            points = view.points(segments == segment, _POINTS)
+            points = surface.points(segments == segment, _POINTS)
             if segment in found:
                 found[segment].points = points
             elif len(points):
                 self._followed.append(Candidate(points))
-        return [(s, c) for s, c in sorted(found.items()) if c.count >= self.sightings]
+        return [(s, c) for s, c in sorted(found.items()) if c.count >= self.views]
 
 
 def _hit(labels: Labels, count: int) -> int | None:

@@ -33,41 +33,41 @@ def test_negative_ids_are_ignored() -> None:
 def test_objects_without_an_id_get_the_lowest_free_one() -> None:
     table = ClassTable()
     table.encode(np.array([[1, 3]], np.int32))
-    first, second = table.begin(), table.begin()
+    first, second = table.new_class(), table.new_class()
     assert table.decode(np.array([first, second])).tolist() == [0, 0]
-    assert (table.name(second), table.name(second), table.name(first)) == (2, 2, 4)
+    assert (table.assign_id(second), table.assign_id(second), table.assign_id(first)) == (2, 2, 4)
     # An id that turns out to be the masks' is theirs: what had it is named anew.
     assert table.decode(table.encode(np.array([[2, 4]], np.int32))).tolist() == [[2, 4]]
     assert table.decode(np.array([first, second])).tolist() == [6, 5]
     assert table.sources() == {}
-    assert table.name(0) == 0
+    assert table.assign_id(0) == 0
 
 
-def test_joined_classes_go_by_one_id() -> None:
+def test_merged_classes_go_by_one_id() -> None:
     table = ClassTable()
     a, b, c = table.encode(np.array([5, 8, 9], np.int32)).tolist()
-    table.join(a, b)
-    table.join(b, c)
+    table.merge(a, b)
+    table.merge(b, c)
     assert table.decode(np.array([a, b, c])).tolist() == [5, 5, 5]
     assert table.encode(np.array([[9, 8, 0, -1]], np.int32)).tolist() == [[a, a, 0, IGNORED]]
-    assert table.joined(np.array([c, 0, IGNORED], np.int32)).tolist() == [a, 0, IGNORED]
+    assert table.merged(np.array([c, 0, IGNORED], np.int32)).tolist() == [a, 0, IGNORED]
     assert table.sources() == {5: (5, 8, 9)}
     assert table.ids.tolist() == [0, 5, 5, 5]
 
 
-def test_a_joined_object_keeps_the_name_that_one_of_them_had() -> None:
+def test_a_merged_object_keeps_the_id_that_one_of_them_had() -> None:
     table = ClassTable()
-    nameless, named = table.begin(), table.begin()
-    table.name(named)
-    table.join(nameless, named)
-    assert table.decode(np.array([nameless, named])).tolist() == [1, 1]
+    without, with_id = table.new_class(), table.new_class()
+    table.assign_id(with_id)
+    table.merge(without, with_id)
+    assert table.decode(np.array([without, with_id])).tolist() == [1, 1]
 
 
-def test_no_object_is_not_joined() -> None:
+def test_no_object_is_not_merged() -> None:
     table = ClassTable()
     table.encode(np.array([7], np.int32))
     with pytest.raises(ValueError, match="no object"):
-        table.join(0, 1)
+        table.merge(0, 1)
 
 
 @given(st.lists(st.lists(st.integers(0, 100_000), min_size=1, max_size=30), max_size=5))

@@ -28,17 +28,17 @@ def test_objects_are_listed_by_id(rng):
 
 
 def test_what_the_keyframes_showed():
-    sightings = ObjectVisibility()
+    visibility = ObjectVisibility()
     mask = np.zeros((100, 200), np.int32)
     mask[:10], mask[20:30, :50], mask[50, 50] = 7, 8, 9  # 9: a dot
-    sightings.add(30, mask)
-    sightings.add(4, np.where(mask == 7, 7, 0).astype(np.int32))
-    sightings.add(11, np.where(mask == 8, 70, -1).astype(np.int32))
+    visibility.add(30, mask)
+    visibility.add(4, np.where(mask == 7, 7, 0).astype(np.int32))
+    visibility.add(11, np.where(mask == 8, 70, -1).astype(np.int32))
     means = np.zeros((3, 3), np.float32)
     names = np.arange(71)
     names[70] = 8
-    sightings = sightings.renamed(names)
-    records = inventory(means, means, np.array([7, 8, 9]), sightings=sightings, sources={8: (8, 70)})
+    visibility = visibility.renamed(names)
+    records = inventory(means, means, np.array([7, 8, 9]), visibility=visibility, sources={8: (8, 70)})
     assert [(r.first_frame, r.last_frame, r.views) for r in records] == [
         (4, 30, 2),
         (11, 30, 2),

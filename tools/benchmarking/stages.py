@@ -188,7 +188,7 @@ class Stages:
 
     def _draw_and_compare(self) -> None:
         assert self._classifier is not None
-        self._classifier.draw_3d()
+        self._classifier.sample_3d()
         self._run("KL", self._divergence)
 
     def _divergence(self) -> None:

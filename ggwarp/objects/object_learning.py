@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which object each Gaussian of a map is of: all that a mapper needs to learn it and to say it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ggwarp.geometry.camera import Camera
+from ggwarp.map.gaussian_map import GaussianMap
+from ggwarp.objects.class_table import NO_OBJECT, ClassTable
+from ggwarp.objects.classifier import Classifier, ClassifierConfig, IdentitySeeds
+from ggwarp.objects.inventory import ObjectRecord, inventory
+from ggwarp.objects.labels import Labels
+from ggwarp.objects.linear_classifier import LinearClassifier
+from ggwarp.objects.mask_supervision import ObjectSupervision, SupervisionConfig
+from ggwarp.objects.visibility import ObjectVisibility
+from ggwarp.types import Float32, Float64, Frame, Rendered
+
+_OPAQUE = 0.5  # a pixel shows an object where the map is at least so opaque
+_PROBABLE = 0.3  # a Gaussian belongs to its likeliest object when that is likelier (Gaussian Grouping)
+
+
+class ObjectLearning:
+    """The objects of a map.
+
+    Attributes:
+        classes: the masks' ids as classes.
+        classifier: identity -> class.
+        visibility: which keyframes showed which class.
+        voting_indices: frames whose mask voted, but that were not mapped.
+    """
+
+    def __init__(
+        self,
+        config: SupervisionConfig,
+        classifier: ClassifierConfig,
+        camera: Camera,
+        gaussians: GaussianMap,
+        *,
+        seed: int,
+        tracked_masks: bool = True,
+    ) -> None:
+        """Prepare to learn the objects of ``gaussians``, which has identities.
+
+        Args:
+            camera: of the frames.
+            seed: of the random identities.
+            tracked_masks: whether the masks' ids mean the same object in every frame.
+        """
+        self._config = config
+        self._map = gaussians
+        self.classes = ClassTable()
+        self.classifier = Classifier(classifier, gaussians, seed=seed)
+        self.visibility = ObjectVisibility()
+        self.voting_indices: list[int] = []
+        self._supervision = ObjectSupervision(
+            config, camera, gaussians, self.classes, self.classifier, tracked=tracked_masks
+        )
+        self._other_frames = self._frames = 0
+
+    def supervise_keyframe(
+        self, frame: Frame, T_wc: Float64, rendered: Rendered | None
+    ) -> tuple[IdentitySeeds, Labels | None]:
+        """Take in a keyframe's mask.
+
+        Args:
+            frame: with depth.
+            T_wc: [4, 4] its pose.
+            rendered: the map's view from there; None while the map is empty.
+
+        Returns:
+            What new Gaussians begin as, and [h, w] the class that the rendered identity should have, negative:
+            any; None: the frame says nothing of objects.
+        """
+        targets = self._supervision.supervise(frame, T_wc, rendered)
+        if targets is None:
+            return IdentitySeeds(self.classifier.codes), None
+        self.visibility.add(frame.index, targets.votes)
+        seeds = IdentitySeeds(self.classifier.codes, targets.seeds, targets.votes)
+        return seeds, None if frame.mask is None else targets.training
+
+    def vote_is_due(self, frame: Frame, newest: int) -> bool:
+        """Return whether ``frame`` is to vote though it is no keyframe; ask once for every frame, in order.
+
+        Args:
+            newest: index of the newest keyframe.
+        """
+        c = self._config
+        if c.votes == 0 or c.vote_interval == 0 or frame.mask is None or frame.index == newest:
+            return False
+        self._other_frames += 1
+        return self._other_frames % c.vote_interval != 0
+
+    def vote(self, frame: Frame, T_wc: Float64, rendered: Rendered) -> None:
+        """Let the mask of a frame vote that is no keyframe; arguments as of :meth:`supervise_keyframe`."""
+        self._supervision.supervise(frame, T_wc, rendered, keep=False)
+        self.voting_indices.append(frame.index)
+
+    def keyframe_to_relabel(self, keyframes: int) -> int | None:
+        """Return which of so many ``keyframes`` to label again, in turn; ask once for every frame."""
+        interval = self._config.relabel_interval
+        if self._config.votes == 0:
+            return None
+        self._frames += 1
+        if interval == 0 or self._frames % interval != 0:
+            return None
+        return self._frames // interval % keyframes
+
+    def relabel(self, index: int, depth: Float32, T_wc: Float64, rendered: Rendered) -> Labels | None:
+        """See :meth:`ggwarp.objects.mask_supervision.ObjectSupervision.relabel`."""
+        return self._supervision.relabel(index, depth, T_wc, rendered)
+
+    def add_to_render(self, rendered: Rendered, image: wp.array, identity: Float32) -> Rendered:
+        """Return ``rendered`` with what it shows of objects.
+
+        Args:
+            image: [20, Hp, Wp] the render on the device.
+            identity: [h, w, 16] its identity on the host.
+        """
+        classes, confidence = self.classifier.classify_image(image, *rendered.opacity.shape)
+        objects = np.where(rendered.opacity > _OPAQUE, self.classes.decode(classes), NO_OBJECT)
+        return replace(
+            rendered,
+            identity=identity,
+            objects=objects.astype(np.int32),
+            classes=classes,
+            confidence=confidence,
+        )
+
+    def object_ids(self) -> tuple[NDArray[np.int32], Float32]:
+        """Return [n] the object of each Gaussian as the masks name it, 0 = none, and [n] how probable it is."""
+        classes, probabilities = self.classifier.classify_map()
+        ids = np.where(probabilities > _PROBABLE, self.classes.decode(classes), NO_OBJECT)
+        return ids.astype(np.int32), probabilities
+
+    def inventory(self, names: dict[int, str]) -> list[ObjectRecord]:
+        """Describe the objects; ``names`` are their classes by id, where known."""
+        object_ids, probabilities = self.object_ids()
+        arrays = self._map.to_host()
+        mask_ids = self.classes.mask_ids  # the names are of these: ids made up here may be others' numbers
+        return inventory(
+            arrays["means"],
+            arrays["colours"],
+            object_ids,
+            names={i: name for i, name in names.items() if i in mask_ids},
+            sources=self.classes.sources(),
+            visibility=self.visibility.renamed(self.classes.ids),
+            probabilities=probabilities,
+        )
+
+    def linear_classifier(self) -> LinearClassifier:
+        """Return the identity classifier on the host."""
+        weights, biases = self.classifier.to_host()
+        return LinearClassifier(weights, biases, self.classes.ids[: self.classifier.count])
