@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Mask association: which object of the map each of a frame's segments is.
 
-Where the masks' ids mean the same object in every frame, they say so. Where they do not, segments are compared
-with what the map shows. Only pixels where the map shows the frame's own surface count. An object and a segment
-are compared by their intersection over union there, so that what a segment adds to an object does not speak
-against it, and paired one to one so that the sum is largest.
+Where the masks' ids mean the same object in every frame, they say it. Where they do not, segments are held
+against what the map shows. Only pixels where the map shows the frame's own surface count. An object and a
+segment are compared by their intersection over union there, so that what a segment adds to an object does not
+speak against it, and paired one to one so that the sum is largest.
 """
 
 from __future__ import annotations

@@ -58,8 +58,8 @@ class IdentitySeeds:
 
     Attributes:
         codes: [classes, 16] the identity that each class starts from.
-        classes: [h, w] class of the Gaussians that begin at each pixel, negative: not known; None: nowhere known.
-        votes: [h, w] class that each pixel votes for, negative: none; None: nothing votes.
+        classes: [h, w] class of the Gaussians that begin at each pixel; negative, or None: not known.
+        votes: [h, w] class that each pixel votes for; negative, or None: none.
     """
 
     codes: Float32
@@ -97,9 +97,7 @@ class Classifier:
         self._rate = wp.array([config.rate], dtype=float, device=self._device)
         self._draws, phase = (wp.zeros(1, dtype=int, device=self._device) for _ in range(2))
         self._sample = Sample(config.sample_stride, phase)
-        self._neighbourhood = Neighbourhood(
-            gaussians, samples=_SAMPLES_3D, k=_NEIGHBOURS_3D + 1, seed=seed
-        )
+        self._neighbourhood = Neighbourhood(gaussians, samples=_SAMPLES_3D, k=_NEIGHBOURS_3D + 1, seed=seed)
         self._image_workspace: Any = None
         self._allocate(capacity)
         self.grow(1)
@@ -122,7 +120,7 @@ class Classifier:
         self._biases[begin:count].assign(-0.5 * (new**2).sum(axis=1))
 
     def draw_sample(self, labels: wp.array | None) -> Sample:
-        """Draw where the next view's identities are rendered and compared: nowhere if it says nothing of objects."""
+        """Draw where the next view's identities are rendered and compared; nowhere without ``labels``."""
         none = labels is None or self.count < 2
         draw_sample(self._sample, seed=self._seed, draws=self._draws, none=none, device=self._device)
         return self._sample
@@ -162,7 +160,7 @@ class Classifier:
         )
 
     def begin_3d(self, iteration: int) -> bool:
-        """Return whether the 3-D term is due; sample its Gaussians then. Reads the map if that has changed."""
+        """Return whether the 3-D term is due; sample its Gaussians then. Reads a map that has changed."""
         due = self.count > 1 and self._config.weight_3d != 0.0 and iteration % _INTERVAL_3D == 0
         if due:
             self.sample_3d()

@@ -33,7 +33,13 @@ class GaussianVotes:
     """A Gaussian's identity is the mean of its votes; this is where they are counted."""
 
     def __init__(
-        self, camera: Camera, gaussians: GaussianMap, classes: ClassTable, classifier: Classifier, *, votes: int
+        self,
+        camera: Camera,
+        gaussians: GaussianMap,
+        classes: ClassTable,
+        classifier: Classifier,
+        *,
+        votes: int,
     ) -> None:
         """Prepare to count.
 

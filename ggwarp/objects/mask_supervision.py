@@ -4,9 +4,9 @@
 Masks are taken with a grain of salt. Each of their pixels is a vote for the Gaussian that it shows, and a
 Gaussian's identity is the mean of its votes: dots, ragged borders and swapped ids are outvoted. What the map
 knows by several votes, in turn, is held against the mask: objects under a wrong id are given their own
-back, pixels that contradict the map are not learnt from, objects that turn out to be one are merged, and an id
-that turns out to be two objects is split. Frames that are no keyframes vote, too, and keyframes are labelled
-again as the map learns what was wrong with them.
+back, pixels that contradict the map are not learnt from, objects that turn out to be one are merged, and an
+id that turns out to be two objects is split. Frames that are no keyframes vote, too, and keyframes are
+labelled again as the map learns what was wrong with them.
 """
 
 from __future__ import annotations

@@ -37,9 +37,7 @@ class ClassRecords(Protocol):
 class ObjectMerger:
     """Counts how often two objects were shown as one, and as two; merges those that are one."""
 
-    def __init__(
-        self, classes: ClassTable, *others: ClassRecords, together: int = _TOGETHER
-    ) -> None:
+    def __init__(self, classes: ClassTable, *others: ClassRecords, together: int = _TOGETHER) -> None:
         """Prepare to count.
 
         Args:
@@ -121,9 +119,7 @@ def _covering_segments(known: Labels, labels: Labels, segments: Labels | None) -
     table = contingency(known, segments, size)
     seen, best, least = table.sum(axis=1), table.argmax(axis=1), _LEAST_AREA * known.size
     covers = {
-        m: int(best[m])
-        for m in range(1, size)
-        if seen[m] >= least and table[m, best[m]] > _COVERED * seen[m]
+        m: int(best[m]) for m in range(1, size) if seen[m] >= least and table[m, best[m]] > _COVERED * seen[m]
     }
     if numbered:
         areas = np.bincount(segments[segments > 0], minlength=size)

@@ -73,8 +73,8 @@ class ObjectLearning:
             rendered: the map's view from there; None while the map is empty.
 
         Returns:
-            What new Gaussians begin as, and [h, w] the class that the rendered identity should have, negative:
-            any; None: the frame says nothing of objects.
+            What new Gaussians begin as, and [h, w] the class that the rendered identity should have, negative
+            for any; None: the frame says nothing of objects.
         """
         targets = self._supervision.supervise(frame, T_wc, rendered)
         if targets is None:
@@ -132,7 +132,7 @@ class ObjectLearning:
         )
 
     def object_ids(self) -> tuple[NDArray[np.int32], Float32]:
-        """Return [n] the object of each Gaussian as the masks name it, 0 = none, and [n] how probable it is."""
+        """Return [n] the object of each Gaussian as the masks name it, 0 = none, and [n] its probability."""
         classes, probabilities = self.classifier.classify_map()
         ids = np.where(probabilities > _PROBABLE, self.classes.decode(classes), NO_OBJECT)
         return ids.astype(np.int32), probabilities
@@ -140,11 +140,11 @@ class ObjectLearning:
     def inventory(self, names: dict[int, str]) -> list[ObjectRecord]:
         """Describe the objects; ``names`` are their classes by id, where known."""
         object_ids, probabilities = self.object_ids()
-        arrays = self._map.to_host()
+        gaussians = self._map.to_host()
         mask_ids = self.classes.mask_ids  # the names are of these: ids made up here may be others' numbers
         return inventory(
-            arrays["means"],
-            arrays["colours"],
+            gaussians.means,
+            gaussians.colours,
             object_ids,
             names={i: name for i, name in names.items() if i in mask_ids},
             sources=self.classes.sources(),

@@ -24,8 +24,9 @@ from ggwarp.map.gaussians import Gaussians
 from ggwarp.map.renderer import Renderer
 from ggwarp.objects.inventory import ObjectRecord
 from ggwarp.objects.linear_classifier import LinearClassifier
+from ggwarp.pipeline.mapping.build import build_mapper
 from ggwarp.pipeline.mapping.keyframe_window import WindowConfig
-from ggwarp.pipeline.mapping.mapper import Mapper, MapperConfig
+from ggwarp.pipeline.mapping.mapper import MapperConfig
 from ggwarp.pipeline.scheduler import Arrival, Scheduler, SynchronousScheduler, Waiting
 from ggwarp.pipeline.tracking.gicp import GicpConfig
 from ggwarp.pipeline.tracking.hybrid import HybridConfig
@@ -133,22 +134,18 @@ class Slam:
         """Make an empty map, and the parts that work on it."""
         config, device, camera = self.config, self.device, self.camera
         self._trackable = TrackableMap(config.trackable, device=device)
-        window = config.window if config.policy == "covisibility" else None
-        self._mapper = Mapper(
+        self._mapper = build_mapper(
             config.mapper,
             camera,
             device=device,
             use_identity=config.use_identity,
             tracked_masks=config.tracked_masks,
-            window=window,
+            window=config.window if config.policy == "covisibility" else None,
             monocular=config.monocular,
         )
-        look = None if self._mapper.covisibility is None else self._mapper.covisibility.look
-        self._policy: KeyframePolicy = (
-            OverlapKeyframes(config.keyframes)
-            if look is None
-            else CovisibilityKeyframes(config.covisibility, look)
-        )
+        self._policy: KeyframePolicy = OverlapKeyframes(config.keyframes)
+        if self._mapper.covisibility is not None:
+            self._policy = CovisibilityKeyframes(config.covisibility, self._mapper.covisibility.look)
         self._tracker: Tracker = make_tracker(
             config.tracker,
             gicp=config.gicp,
@@ -268,7 +265,7 @@ class Slam:
     @property
     def voting_indices(self) -> list[int]:
         """Frames whose mask voted for the map's objects, though they were not mapped."""
-        return self._mapper.voting_indices
+        return self._mapper.objects.voting_indices if self._mapper.objects else []
 
     def map_arrays(self) -> Gaussians:
         """Return the map on the host, with object ids."""
@@ -276,11 +273,11 @@ class Slam:
 
     def objects(self, names: dict[int, str]) -> list[ObjectRecord]:
         """Describe the map's objects; ``names`` are their classes by id, where known."""
-        return self._mapper.objects(names)
+        return self._mapper.objects.inventory(names) if self._mapper.objects else []
 
     def linear_classifier(self) -> LinearClassifier | None:
         """Return what tells identities apart; None without identities."""
-        return self._mapper.linear_classifier()
+        return self._mapper.objects.linear_classifier() if self._mapper.objects else None
 
     def save(self, folder: str | Path, names: dict[int, str] | None = None) -> None:
         """Write what :func:`ggwarp.load_run` reads; ``names`` are the objects' classes by id, where known."""

@@ -4,12 +4,10 @@
 import numpy as np
 
 from ggwarp.geometry.camera import Camera
-from ggwarp.objects.association import AssociationConfig, SegmentAssociation, match_segments
+from ggwarp.objects.association import SegmentAssociation, match_segments
 from ggwarp.objects.class_table import ClassTable
 from ggwarp.objects.labels import Labels
-from ggwarp.objects.mask_view import PosedDepth
-
-CONFIG = AssociationConfig()
+from ggwarp.objects.mask_view import MapKnowledge, MaskView, PosedDepth
 
 
 def stripes(*labels: int) -> Labels:
@@ -18,42 +16,42 @@ def stripes(*labels: int) -> Labels:
 
 
 def test_segments_find_their_objects_whatever_their_number() -> None:
-    matching = match_segments(stripes(2, 0, 1), stripes(1, 2, 3), 4, CONFIG)
-    assert matching.classes.tolist() == [2, 3, 1]
-    assert matching.paired.all() and not matching.new.any() and not matching.open_segments
+    matches = match_segments(stripes(2, 0, 1), stripes(1, 2, 3), 4)
+    assert matches.classes.tolist() == [2, 3, 1]
+    assert matches.paired.all() and not matches.new.any() and not matches.open_segments
 
 
 def test_what_the_map_does_not_show_is_new() -> None:
-    matching = match_segments(stripes(0, 1), stripes(1, -1), 2, CONFIG)
-    assert matching.classes.tolist() == [1, -1] and matching.new.tolist() == [False, True]
+    matches = match_segments(stripes(0, 1), stripes(1, -1), 2)
+    assert matches.classes.tolist() == [1, -1] and matches.new.tolist() == [False, True]
 
 
 def test_new_surface_of_a_known_object_is_that_object() -> None:
-    matching = match_segments(stripes(0, 0, 0, 0), stripes(1, -1, -1, -1), 2, CONFIG)
-    assert matching.classes.tolist() == [1] and matching.paired.all()
+    matches = match_segments(stripes(0, 0, 0, 0), stripes(1, -1, -1, -1), 2)
+    assert matches.classes.tolist() == [1] and matches.paired.all()
 
 
-def test_a_second_segment_on_an_object_is_a_part_of_it_and_watched() -> None:
-    matching = match_segments(stripes(0, 0, 1), stripes(1, 1, 1), 2, CONFIG)
-    assert matching.classes.tolist() == [1, 1] and matching.paired.tolist() == [True, False]
-    assert matching.open_segments == {1}
+def test_a_second_segment_on_an_object_is_a_part_of_it_and_open() -> None:
+    matches = match_segments(stripes(0, 0, 1), stripes(1, 1, 1), 2)
+    assert matches.classes.tolist() == [1, 1] and matches.paired.tolist() == [True, False]
+    assert matches.open_segments == {1}
 
 
 def test_no_object_is_no_match() -> None:
-    matching = match_segments(stripes(0), stripes(0), 1, CONFIG)
-    assert matching.classes.tolist() == [-1] and not matching.new.any()
+    matches = match_segments(stripes(0), stripes(0), 1)
+    assert matches.classes.tolist() == [-1] and not matches.new.any()
 
 
 def test_dots_are_not_objects() -> None:
     segments = np.zeros((100, 200), np.int32)
     segments[3, 4] = 1
-    matching = match_segments(segments, np.full_like(segments, -1), 1, CONFIG)
-    assert matching.new.tolist() == [True, False]
+    matches = match_segments(segments, np.full_like(segments, -1), 1)
+    assert matches.new.tolist() == [True, False]
 
 
 def test_nothing_segmented() -> None:
-    matching = match_segments(stripes(-1, -1), stripes(1, 2), 3, CONFIG)
-    assert len(matching.classes) == 0
+    matches = match_segments(stripes(-1, -1), stripes(1, 2), 3)
+    assert len(matches.classes) == 0
 
 
 class Wall:
@@ -61,14 +59,17 @@ class Wall:
 
     def __init__(self) -> None:
         depth = np.full((20, 40), 2.0, np.float32)
-        self.view = PosedDepth(depth, np.eye(4), Camera(40, 20, 30.0, 30.0, 19.5, 9.5))
+        self.surface = PosedDepth(depth, np.eye(4), Camera(40, 20, 30.0, 30.0, 19.5, 9.5))
         self.table = ClassTable()
-        self.matcher = SegmentAssociation(CONFIG, self.table)
+        self.association = SegmentAssociation(self.table)
 
     def see(self, mask: Labels, known: Labels | None = None) -> list[int]:
         """Return the class of each stripe."""
-        understood = self.matcher.match(mask, known, self.view)
-        return understood.labels[0, 5::10].tolist()
+        return self.associate(mask, known).labels[0, 5::10].tolist()
+
+    def associate(self, mask: Labels, known: Labels | None) -> MaskView:
+        knowledge = None if known is None else MapKnowledge(known, known, known)
+        return self.association.associate(mask, self.surface, knowledge)
 
 
 def test_objects_count_when_they_are_seen_again() -> None:
@@ -85,8 +86,8 @@ def test_objects_that_one_mask_ran_together_are_told_apart_later() -> None:
     known = stripes(1, 1, 1, 2)
     assert wall.see(stripes(3, 3, 8, 6), known) == [1, 1, 1, 2]
     assert wall.see(stripes(2, 2, 7, 1), known) == [1, 1, 3, 2], "seen by itself for the second time"
-    understood = wall.matcher.match(stripes(2, 2, 7, 1), known, wall.view)
-    assert understood.fresh == {3} and wall.table.ids[3] > 0
+    mask = wall.associate(stripes(2, 2, 7, 1), known)
+    assert mask.fresh == {3} and wall.table.ids[3] > 0
 
 
 def test_one_frame_that_splits_an_object_does_not_divide_it() -> None:

@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One id for two objects: they are told apart by where they are."""
+"""One id for two objects: they are split by where they are."""
 
 import numpy as np
 import pytest
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
+from ggwarp.objects import id_splitting
 from ggwarp.objects.class_table import IGNORED, ClassTable
 from ggwarp.objects.id_splitting import SharedIdSplitter, SplittingConfig, _clusters
-from ggwarp.objects.mask_view import PosedDepth
+from ggwarp.objects.mask_view import MapKnowledge, MaskView, PosedDepth
 
 CAMERA = Camera(60, 40, 50.0, 50.0, 29.5, 19.5)
 UNKNOWN = np.full((40, 60), IGNORED, np.int32)
@@ -20,7 +21,7 @@ class Wall:
     def __init__(self, squares: dict[float, int], **options) -> None:
         self.squares = squares
         self.classes = ClassTable()
-        self.namesakes = SharedIdSplitter(SplittingConfig(**options), self.classes)
+        self.splitter = SharedIdSplitter(SplittingConfig(**options), self.classes)
 
     def view(self, x: float) -> tuple[np.ndarray, PosedDepth]:
         T_wc = se3.se3_exp(np.array([x, 0.0, 0.0, 0.0, 0.0, 0.0]))
@@ -33,22 +34,27 @@ class Wall:
 
     def look(self, x: float, known: np.ndarray = UNKNOWN) -> tuple[np.ndarray, set[int]]:
         given, view = self.view(x)
-        return self.namesakes.tell_apart(given, known, view)
+        return self.split(given, known, view)
 
-    def synchronise(self, x: float) -> tuple[np.ndarray, set[int]]:
+    def split(self, given: np.ndarray, known: np.ndarray, view: PosedDepth) -> tuple[np.ndarray, set[int]]:
+        knowledge = MapKnowledge(known, known, known)
+        mask = self.splitter.split_shared_ids(MaskView(view, given, knowledge))
+        return mask.labels, set(mask.fresh)
+
+    def look_thrice(self, x: float) -> tuple[np.ndarray, set[int]]:
         """Look as often as an object wants, and return the last of it."""
         return [self.look(x) for _ in range(3)][-1]
 
 
-def test_a_part_far_away_is_another_object_at_its_third_sighting() -> None:
+def test_a_part_far_away_is_another_object_at_its_third_view() -> None:
     wall = Wall({0.0: 7, 5.0: 7})
-    (one,) = set(np.unique(wall.synchronise(0.0)[0])) - {wall.classes.encode(np.array([99]))[0]}
+    (one,) = set(np.unique(wall.look_thrice(0.0)[0])) - {wall.classes.encode(np.array([99]))[0]}
     for _ in range(2):
         labels, fresh = wall.look(5.0)
         assert one in labels and not fresh
     given, _ = wall.view(5.0)
     labels, (other,) = wall.look(5.0)
-    assert other == wall.classes.count - 1 and wall.classes.share_an_id(one, other)
+    assert other == wall.classes.count - 1 and wall.classes.same_mask_id(one, other)
     assert ((labels == other) == (given == one)).all() and (labels == given)[given != one].all()
     assert one in wall.look(0.0)[0]
     for _ in range(5):
@@ -57,7 +63,7 @@ def test_a_part_far_away_is_another_object_at_its_third_sighting() -> None:
     name = int(wall.classes.ids[other])
     assert name not in (0, 7, 99) and name not in wall.classes.mask_ids
     assert wall.classes.sources() == {name: (7,)}
-    assert wall.namesakes.touching() == []
+    assert wall.splitter.grown_together() == []
 
 
 @pytest.mark.parametrize("within_frames", [False, True])
@@ -74,15 +80,15 @@ def test_masks_are_believed_as_to_what_one_frame_shows(within_frames: bool) -> N
 
 def test_what_comes_into_view_together_is_one_after_all() -> None:
     wall = Wall({-0.9: 7, 0.9: 7})
-    wall.synchronise(-1.6)
-    labels, (other,) = wall.synchronise(1.6)
+    wall.look_thrice(-1.6)
+    labels, (other,) = wall.look_thrice(1.6)
     assert other in labels
-    assert wall.namesakes.touching() == []
+    assert wall.splitter.grown_together() == []
     wall.look(0.0)
-    (pair,) = wall.namesakes.touching()
+    (pair,) = wall.splitter.grown_together()
     assert pair == (1 if pair[0] == 1 else 2, other)
-    wall.classes.join(*pair)
-    wall.namesakes.join(*pair)
+    wall.classes.merge(*pair)
+    wall.splitter.merge(*pair)
     labels, fresh = wall.look(1.5)
     assert other not in labels and pair[0] in labels and not fresh
 
@@ -91,7 +97,7 @@ def test_a_swap_at_first_sight_is_not_the_id_s_place() -> None:
     """One frame at the wrong place, then the object itself: it keeps its id."""
     wall = Wall({0.0: 7, 5.0: 7})
     wall.look(5.0)
-    labels, fresh = wall.synchronise(0.0)
+    labels, fresh = wall.look_thrice(0.0)
     given, _ = wall.view(0.0)
     np.testing.assert_array_equal(labels, given)
     assert not fresh
@@ -103,13 +109,13 @@ def test_parts_near_each_other_are_one() -> None:
     for _ in range(5):
         wall.look(-0.9)
         labels, fresh = wall.look(1.5)
-        assert not fresh and len(np.unique(labels)) == 2, wall.namesakes._parts
+        assert not fresh and len(np.unique(labels)) == 2, wall.splitter._parts
 
 
 def test_an_object_that_the_map_knows_is_not_the_id_s() -> None:
     """A mask that gives a known object another's id for a while says nothing about that other."""
     wall = Wall({0.0: 7, 5.0: 7})
-    wall.synchronise(0.0)
+    wall.look_thrice(0.0)
     known = wall.view(5.0)[0]
     known = np.where(known == known[0, 0], IGNORED, 3).astype(np.int32)
     wall.classes.encode(np.array([11, 12, 13]))
@@ -118,10 +124,15 @@ def test_an_object_that_the_map_knows_is_not_the_id_s() -> None:
         assert not fresh and 3 not in labels
 
 
-@pytest.mark.parametrize("options", [{"sightings": 0}, {"least_area": 0.5}, {"gap": 20.0}])
-def test_switched_off_or_too_small_or_not_far_enough(options: dict) -> None:
-    wall = Wall({0.0: 7, 5.0: 7}, **options)
-    wall.synchronise(0.0)
+@pytest.mark.parametrize("change", [{"views": 0}, {"_LEAST_AREA": 0.5}, {"_GAP": 20.0}], ids=str)
+def test_switched_off_or_too_small_or_not_far_enough(
+    change: dict[str, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in change.items():
+        if name != "views":
+            monkeypatch.setattr(id_splitting, name, value)
+    wall = Wall({0.0: 7, 5.0: 7}, **{name: value for name, value in change.items() if name == "views"})
+    wall.look_thrice(0.0)
     for _ in range(5):
         given, _ = wall.view(5.0)
         labels, fresh = wall.look(5.0)
@@ -131,12 +142,12 @@ def test_switched_off_or_too_small_or_not_far_enough(options: dict) -> None:
 
 def test_pixels_without_depth_are_nobody_s() -> None:
     wall = Wall({0.0: 7, 5.0: 7})
-    wall.synchronise(0.0)
-    wall.synchronise(5.0)
+    wall.look_thrice(0.0)
+    wall.look_thrice(5.0)
     given, view = wall.view(5.0)
     holed = view.depth.copy()
     holed[:20] = 0.0
-    labels, _ = wall.namesakes.tell_apart(given, UNKNOWN, PosedDepth(holed, view.T_wc, CAMERA))
+    labels, _ = wall.split(given, UNKNOWN, PosedDepth(holed, view.T_wc, CAMERA))
     square = given != given[0, 0]
     assert (labels[:20][square[:20]] == IGNORED).all() and (labels[20:][square[20:]] > 0).all()
     assert (labels[~square] == given[~square]).all()
@@ -146,21 +157,21 @@ def test_a_frame_without_depth_or_objects_changes_nothing() -> None:
     wall = Wall({0.0: 7})
     given, view = wall.view(0.0)
     for image, depth in ((given, view.depth * 0.0), (given * 0, view.depth), (UNKNOWN, view.depth)):
-        labels, fresh = wall.namesakes.tell_apart(image, UNKNOWN, PosedDepth(depth, view.T_wc, CAMERA))
+        labels, fresh = wall.split(image, UNKNOWN, PosedDepth(depth, view.T_wc, CAMERA))
         np.testing.assert_array_equal(labels, image)
-        assert not fresh and wall.namesakes.touching() == []
+        assert not fresh and wall.splitter.grown_together() == []
 
 
-def test_joined_with_another_object_the_parts_go_along() -> None:
+def test_merged_with_another_object_the_parts_go_along() -> None:
     wall = Wall({0.0: 7, 5.0: 7, 10.0: 8})
-    wall.synchronise(0.0)
+    wall.look_thrice(0.0)
     one = int(wall.classes.encode(np.array([7]))[0])
-    wall.synchronise(10.0)
-    _, fresh = wall.synchronise(5.0)
-    (other,) = (i for i in fresh if wall.classes.share_an_id(i, one))
+    wall.look_thrice(10.0)
+    _, fresh = wall.look_thrice(5.0)
+    (other,) = (i for i in fresh if wall.classes.same_mask_id(i, one))
     eight = int(wall.classes.encode(np.array([8]))[0])
-    wall.classes.join(eight, one)
-    wall.namesakes.join(eight, one)
+    wall.classes.merge(eight, one)
+    wall.splitter.merge(eight, one)
     assert eight in wall.look(0.0)[0] and eight in wall.look(10.0)[0]
     assert other in wall.look(5.0)[0]
 

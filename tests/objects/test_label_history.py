@@ -4,8 +4,9 @@
 import numpy as np
 
 from ggwarp.geometry.camera import Camera
+from ggwarp.objects.class_table import ClassTable
 from ggwarp.objects.label_history import LabelHistory, corrected
-from ggwarp.objects.mask_view import PosedDepth
+from ggwarp.objects.mask_view import MapKnowledge, MaskView, PosedDepth
 
 
 def view_of(image: np.ndarray, x: float = 0.0) -> PosedDepth:
@@ -17,7 +18,14 @@ def view_of(image: np.ndarray, x: float = 0.0) -> PosedDepth:
     return PosedDepth(np.full(image.shape, 2.0, np.float32), T_wc, camera)
 
 
+CLASSES = ClassTable()
 VIEW = view_of(np.empty((20, 30)))
+
+
+def wrong_labels(
+    history: LabelHistory, known: np.ndarray, given: np.ndarray, view: PosedDepth, *, anew: bool = True
+) -> list[tuple[int, int]]:
+    return history.wrong_labels(MaskView(view, given, MapKnowledge(known, known, known)), anew=anew)
 
 
 def seen(history: LabelHistory) -> dict[tuple[int, int], int]:
@@ -34,103 +42,111 @@ def picture(*columns: int) -> np.ndarray:
 
 
 def test_masks_that_agree_are_left_alone() -> None:
-    history = LabelHistory()
-    assert history.overruled(picture(1, 2, -1), picture(1, 2, 3), VIEW) == []
+    history = LabelHistory(CLASSES)
+    assert wrong_labels(history, picture(1, 2, -1), picture(1, 2, 3), VIEW) == []
     assert seen(history) == {(1, 1): 1, (2, 2): 1}
 
 
 def test_one_swapped_frame_is_put_right() -> None:
-    history = LabelHistory()
+    history = LabelHistory(CLASSES)
     known = picture(1, 2, -1)
-    history.overruled(known, picture(1, 2, 0), VIEW)
+    wrong_labels(history, known, picture(1, 2, 0), VIEW)
     given = picture(2, 2, 0)
-    wrong = history.overruled(known, given, VIEW)
+    wrong = wrong_labels(history, known, given, VIEW)
     assert wrong == [(1, 2)]
     np.testing.assert_array_equal(corrected(known, given, wrong), picture(1, 2, 0))
 
 
 def test_an_object_that_a_frame_forgot_is_put_back() -> None:
-    history = LabelHistory()
+    history = LabelHistory(CLASSES)
     known = picture(1, 2, 3)
-    wrong = history.overruled(known, picture(0, 2, 3), VIEW)
+    wrong = wrong_labels(history, known, picture(0, 2, 3), VIEW)
     np.testing.assert_array_equal(corrected(known, picture(0, 2, 3), wrong), known)
 
 
 def test_more_frames_than_called_it_so_rename_it() -> None:
-    history = LabelHistory()
+    history = LabelHistory(CLASSES)
     known, given = picture(1, 2, 3), picture(3, 2, 3)
-    verdicts = [history.overruled(known, given, VIEW) for _ in range(3)]
+    verdicts = [wrong_labels(history, known, given, VIEW) for _ in range(3)]
     assert verdicts == [[(1, 3)], [], []]
 
 
 def test_an_established_name_stays() -> None:
     """A track slips from object 1 to object 2 for good: 2 is called 1, and 1 is called 3."""
-    history, known = LabelHistory(), np.repeat(np.int32([[1], [2]]), 30, axis=0).repeat(10, axis=1)
+    history, known = LabelHistory(CLASSES), np.repeat(np.int32([[1], [2]]), 30, axis=0).repeat(10, axis=1)
     slipped = np.where(known == 1, 3, 1).astype(np.int32)
     for _ in range(4):
-        assert history.overruled(known, known, view_of(known)) == []
+        assert wrong_labels(history, known, known, view_of(known)) == []
     for _ in range(20):
-        wrong = history.overruled(known, slipped, view_of(known))
+        wrong = wrong_labels(history, known, slipped, view_of(known))
         assert wrong == [(1, 3), (2, 1)]
         np.testing.assert_array_equal(corrected(known, slipped, wrong), known)
 
 
 def test_a_name_is_established_by_place() -> None:
     """An object begun under the id of another that often comes is not that other."""
-    history, known, label = LabelHistory(), np.full((20, 30), 1, np.int32), np.full((20, 30), 2, np.int32)
+    history, known, label = (
+        LabelHistory(CLASSES),
+        np.full((20, 30), 1, np.int32),
+        np.full((20, 30), 2, np.int32),
+    )
     for _ in range(9):
-        assert history.overruled(known, known, view_of(known), anew=True) == []
+        assert wrong_labels(history, known, known, view_of(known), anew=True) == []
     elsewhere = view_of(known, 10.0)
-    verdicts = [history.overruled(known, label, elsewhere) for _ in range(3)]
+    verdicts = [wrong_labels(history, known, label, elsewhere) for _ in range(3)]
     assert verdicts == [[(1, 2)], [], []]
-    assert history.overruled(known, label, view_of(known)) == [(1, 2)]
+    assert wrong_labels(history, known, label, view_of(known)) == [(1, 2)]
 
 
 def test_places_are_recognised_from_elsewhere() -> None:
-    history, known, label = LabelHistory(), np.full((20, 60), 1, np.int32), np.full((20, 60), 2, np.int32)
+    history, known, label = (
+        LabelHistory(CLASSES),
+        np.full((20, 60), 1, np.int32),
+        np.full((20, 60), 2, np.int32),
+    )
     for _ in range(9):
-        history.overruled(known, known, view_of(known))
-    assert history.overruled(known, label, view_of(known, 0.5)) == [(1, 2)]
+        wrong_labels(history, known, known, view_of(known))
+    assert wrong_labels(history, known, label, view_of(known, 0.5)) == [(1, 2)]
 
 
 def test_looking_again_counts_nothing() -> None:
-    history, known, label = LabelHistory(), picture(1, 2, 3), picture(3, 2, 3)
+    history, known, label = LabelHistory(CLASSES), picture(1, 2, 3), picture(3, 2, 3)
     for _ in range(3):
-        assert history.overruled(known, label, VIEW, anew=False) == [(1, 3)]
+        assert wrong_labels(history, known, label, VIEW, anew=False) == [(1, 3)]
     assert not history._views
 
 
-def test_joined_objects_share_what_was_seen_of_them() -> None:
-    history, known = LabelHistory(), picture(1, 2, 3)
+def test_merged_objects_share_what_was_seen_of_them() -> None:
+    history, known = LabelHistory(CLASSES), picture(1, 2, 3)
     for given in (known, known, picture(2, 1, 3)):
-        history.overruled(known, given, VIEW)
+        wrong_labels(history, known, given, VIEW)
     before = history._views.total()
-    history.join(1, 2)
+    history.merge(1, 2)
     assert set(seen(history)) == {(1, 1), (3, 3)} and history._views.total() == before
-    assert history.overruled(picture(1, 1, 3), picture(3, 3, 3), VIEW) == [(1, 3)]
+    assert wrong_labels(history, picture(1, 1, 3), picture(3, 3, 3), VIEW) == [(1, 3)]
 
 
 def test_nothing_known_nothing_wrong() -> None:
-    history, unknown = LabelHistory(), picture(-1, -1, -1)
-    assert history.overruled(unknown, picture(1, 2, 3), VIEW) == []
-    assert history.overruled(picture(1, 2, 3), unknown, VIEW) == []
+    history, unknown = LabelHistory(CLASSES), picture(-1, -1, -1)
+    assert wrong_labels(history, unknown, picture(1, 2, 3), VIEW) == []
+    assert wrong_labels(history, picture(1, 2, 3), unknown, VIEW) == []
     blind = PosedDepth(VIEW.depth * 0.0, VIEW.T_wc, VIEW.camera)
-    assert history.overruled(picture(1, 2, 3), picture(2, 1, 3), blind) == []
+    assert wrong_labels(history, picture(1, 2, 3), picture(2, 1, 3), blind) == []
     assert not history._views
 
 
 def test_a_majority_must_carry_the_other_label() -> None:
     known, given = picture(1, 1, 1), picture(1, 1, 2)
-    history = LabelHistory()
-    assert history.overruled(known, given, VIEW) == []
+    history = LabelHistory(CLASSES)
+    assert wrong_labels(history, known, given, VIEW) == []
     assert seen(history)[1, 1] == 1
 
 
 def test_a_few_pixels_are_no_object() -> None:
     known = np.full((20, 30), -1, np.int32)
     known[3:6, 3:6] = 1
-    history = LabelHistory()
-    assert history.overruled(known, picture(2, 2, 2), VIEW) == []
+    history = LabelHistory(CLASSES)
+    assert wrong_labels(history, known, picture(2, 2, 2), VIEW) == []
     assert 2 in {label for _, label in seen(history)}, "but it is remembered"
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What masks teach a map, seen from outside: good ones, bad ones and none."""
+"""What a map learns from masks, seen from outside: good ones, bad ones and none."""
 
 import dataclasses
 
@@ -8,7 +8,9 @@ import pytest
 
 from ggwarp.datasets.built_in.synthetic import SyntheticOffice
 from ggwarp.geometry import se3
+from ggwarp.objects.id_splitting import SplittingConfig
 from ggwarp.objects.mask_supervision import SupervisionConfig
+from ggwarp.pipeline.mapping.build import build_mapper
 from ggwarp.pipeline.mapping.mapper import Mapper, MapperConfig
 from ggwarp.types import Frame
 
@@ -24,7 +26,7 @@ def mapped(device: str, frame: Frame, masks: list, **options) -> Mapper:
     """Return a map that saw ``frame`` once with each of ``masks``; only votes move its identities."""
     classifier = dataclasses.replace(MapperConfig().classifier, weight=0.0, weight_3d=0.0)
     config = MapperConfig(classifier=classifier, supervision=SupervisionConfig(**options))
-    mapper = Mapper(config, OFFICE.camera, device=device, use_identity=True)
+    mapper = build_mapper(config, OFFICE.camera, device=device, use_identity=True)
     for mask in masks:
         assert frame.T_wc is not None
         mapper.insert(dataclasses.replace(frame, mask=mask), frame.T_wc)
@@ -82,36 +84,38 @@ def test_a_swapped_frame_is_seen_through(device: str, frame: Frame) -> None:
     assert agreement(mapper, frame, frame.mask == first) > 0.95
 
 
-@pytest.mark.parametrize("revise", [0, 1])
-def test_a_keyframe_s_early_mistake_is_taken_back(revise: int, device: str, frame: Frame) -> None:
+@pytest.mark.parametrize("relabel_interval", [0, 1])
+def test_a_keyframe_s_early_mistake_is_taken_back(relabel_interval: int, device: str, frame: Frame) -> None:
     """What a keyframe should look like is seen anew once other frames have outvoted it."""
     assert frame.mask is not None and frame.T_wc is not None
     first, second = largest(frame.mask)[:2]
     swapped = np.select([frame.mask == first, frame.mask == second], [second, first], frame.mask)
-    mapper = mapped(device, frame, [swapped, *[frame.mask] * 5], watch=0, revise=revise)
+    mapper = mapped(
+        device, frame, [swapped, *[frame.mask] * 5], vote_interval=0, relabel_interval=relabel_interval
+    )
     keyframe = mapper._optimiser.keyframes[0]
-    right = mapper.classes.encode(frame.mask)
+    right = mapper.objects.classes.encode(frame.mask)
     where = (frame.mask == first) | (frame.mask == second)
     assert (keyframe.labels.numpy()[where] != right[where]).all()
     for index in range(1000, 1006):
         mapper.observe_frame(dataclasses.replace(frame, index=index), frame.T_wc)
     labels = keyframe.labels.numpy()
     wrong = where & (labels >= 0) & (labels != right)
-    assert wrong.sum() < 0.1 * where.sum() if revise else wrong.sum() == where.sum()
+    assert wrong.sum() < 0.1 * where.sum() if relabel_interval else wrong.sum() == where.sum()
     assert (labels[~where] == right[~where]).mean() > 0.9
 
 
-@pytest.mark.parametrize("watch", [0, 5])
-def test_frames_that_are_no_keyframes_vote(watch: int, device: str, frame: Frame) -> None:
+@pytest.mark.parametrize("vote_interval", [0, 5])
+def test_frames_that_are_no_keyframes_vote(vote_interval: int, device: str, frame: Frame) -> None:
     assert frame.mask is not None and frame.T_wc is not None
     target = largest(frame.mask)[0]
     wrong = renamed(frame.mask, target, int(frame.mask.max()) + 1)
-    mapper = mapped(device, frame, [wrong], watch=watch, revise=0)
+    mapper = mapped(device, frame, [wrong], vote_interval=vote_interval, relabel_interval=0)
     for index in range(1000, 1010):
         mapper.observe_frame(dataclasses.replace(frame, index=index), frame.T_wc)
     share = agreement(mapper, frame, frame.mask == target)
-    assert share > 0.9 if watch else share == 0.0
-    assert len(mapper.voting_indices) == (8 if watch else 0), "one in five is held out"
+    assert share > 0.9 if vote_interval else share == 0.0
+    assert len(mapper.objects.voting_indices) == (8 if vote_interval else 0), "one in five is held out"
     before = mapper.map.fields["votes"].numpy().copy()
     mapper.observe_frame(dataclasses.replace(frame, index=2000), frame.T_wc, skip_objects=True)
     np.testing.assert_array_equal(mapper.map.fields["votes"].numpy(), before)
@@ -126,7 +130,7 @@ def test_frames_without_mask_learn_from_the_map(device: str, frame: Frame) -> No
     assert agreement(mapped(device, frame, [None, frame.mask]), frame) > 0.98
 
 
-def test_contradictions_teach_nothing(device: str, frame: Frame) -> None:
+def test_contradictions_are_not_learnt(device: str, frame: Frame) -> None:
     mapper = mapped(device, frame, 3 * [frame.mask])
     first, second, _ = largest(frame.mask)
     spoilt = frame.mask.copy()
@@ -135,11 +139,12 @@ def test_contradictions_teach_nothing(device: str, frame: Frame) -> None:
     here &= spoilt == first
     spoilt[here] = second
     view = mapper.render(frame.T_wc)
-    lesson = mapper._supervision.teach(dataclasses.replace(frame, mask=spoilt), frame.T_wc, view)
-    assert lesson is not None
-    assert (lesson.targets[here] == -1).mean() > 0.8
-    assert (lesson.targets[~here] >= 0).mean() > 0.95
-    assert (lesson.seeds >= 0).all()
+    supervision = mapper.objects._supervision
+    targets = supervision.supervise(dataclasses.replace(frame, mask=spoilt), frame.T_wc, view)
+    assert targets is not None
+    assert (targets.training[here] == -1).mean() > 0.8
+    assert (targets.training[~here] >= 0).mean() > 0.95
+    assert (targets.seeds >= 0).all()
 
 
 def test_twice_the_same_to_the_bit(device: str, frame: Frame) -> None:
@@ -151,7 +156,9 @@ def test_twice_the_same_to_the_bit(device: str, frame: Frame) -> None:
 
 def test_ids_shuffled_in_every_frame_are_the_same_objects(device: str, rng: np.random.Generator) -> None:
     """Two neighbouring frames, three times, with new ids each time: each object is found again."""
-    mapper = Mapper(MapperConfig(), OFFICE.camera, device=device, use_identity=True, tracked_masks=False)
+    mapper = build_mapper(
+        MapperConfig(), OFFICE.camera, device=device, use_identity=True, tracked_masks=False
+    )
     frames = [OFFICE[i] for i in (0, 2, 0, 2, 0, 2)]
     for frame in frames:
         names = rng.permutation(200)[: frame.mask.max() + 1].astype(np.int32) + 1
@@ -165,8 +172,8 @@ def test_ids_shuffled_in_every_frame_are_the_same_objects(device: str, rng: np.r
         found, pixels = np.unique(view.objects[mask == true], return_counts=True)
         assert pixels.max() > 0.7 * pixels.sum() and found[pixels.argmax()] > 0
     found = np.unique(view.objects)
-    assert found.max() <= mapper.classes.count and len(found) - 1 <= 1.2 * len(ids)
-    assert {r.id for r in mapper.objects({})} <= set(mapper.classes.ids.tolist())
+    assert found.max() <= mapper.objects.classes.count and len(found) - 1 <= 1.2 * len(ids)
+    assert {r.id for r in mapper.objects.inventory({})} <= set(mapper.objects.classes.ids.tolist())
 
 
 def test_an_object_revived_under_another_id_stays_one(device: str, frame: Frame) -> None:
@@ -175,32 +182,30 @@ def test_an_object_revived_under_another_id_stays_one(device: str, frame: Frame)
     mapper = mapped(device, frame, 3 * [frame.mask] + 3 * [revived])
     view = mapper.render(frame.T_wc)
     assert 777 not in view.objects and 777 not in mapper.export().object_ids
-    record = next(r for r in mapper.objects({}) if r.id == first)
+    record = next(r for r in mapper.objects.inventory({}) if r.id == first)
     assert record.source_ids == (first, 777)
 
 
-@pytest.mark.parametrize("sightings", [0, 3])
-def test_an_id_given_to_two_objects_far_apart_is_told_apart(sightings: int, device: str) -> None:
+@pytest.mark.parametrize("views", [0, 3])
+def test_an_id_given_to_two_objects_far_apart_is_split(views: int, device: str) -> None:
     frames = [OFFICE[0], OFFICE[len(OFFICE) // 2]]
     ids = [set(largest(f.mask)) for f in frames]
     one = next(i for i in largest(frames[0].mask) if i not in frames[1].mask)
     other = next(i for i in largest(frames[1].mask) if i not in frames[0].mask)
     assert one in ids[0] and other in ids[1]
     frames[1] = dataclasses.replace(frames[1], mask=renamed(frames[1].mask, other, one))
-    supervision = SupervisionConfig()
-    namesakes = dataclasses.replace(supervision.namesakes, sightings=sightings)
-    config = MapperConfig(supervision=dataclasses.replace(supervision, namesakes=namesakes))
-    mapper = Mapper(config, OFFICE.camera, device=device, use_identity=True)
+    config = MapperConfig(supervision=SupervisionConfig(splitting=SplittingConfig(views=views)))
+    mapper = build_mapper(config, OFFICE.camera, device=device, use_identity=True)
     for frame in 4 * frames:
         assert frame.T_wc is not None
         mapper.insert(frame, frame.T_wc)
         for _ in range(8):
             mapper.iterate()
-    views = [mapper.render(f.T_wc).objects[f.mask == one] for f in frames]
-    names = [int(np.bincount(v).argmax()) for v in views]
-    assert names[0] == one and (names[1] != one) == bool(sightings)
-    assert all((v == name).mean() > 0.8 for v, name in zip(views, names, strict=True))
-    records = {r.id: r for r in mapper.objects({one: "one", other: "other", names[1]: "same"})}
-    if sightings:
+    shown = [mapper.render(f.T_wc).objects[f.mask == one] for f in frames]
+    names = [int(np.bincount(v).argmax()) for v in shown]
+    assert names[0] == one and (names[1] != one) == bool(views)
+    assert all((v == name).mean() > 0.8 for v, name in zip(shown, names, strict=True))
+    records = {r.id: r for r in mapper.objects.inventory({one: "one", other: "other", names[1]: "same"})}
+    if views:
         assert records[names[1]].source_ids == (one,)
         assert records[names[1]].class_name is None, "the data's name of that number is another object's"

@@ -42,7 +42,8 @@ class Stages:
 
     def __init__(self, mapper: Mapper, frame: Frame, camera: Camera) -> None:
         self._map, self._camera = mapper.map, camera
-        self._classifier = mapper.classifier
+        objects = mapper.objects
+        self._classifier = None if objects is None else objects.classifier
         self._device = mapper.map.device
         self._renderer = Renderer(mapper.map, camera)
         self._T_cw = self._renderer.pose_array(np.eye(4))
@@ -59,8 +60,8 @@ class Stages:
         self._workspace = allocate_loss(camera.height, camera.width, device=self._device)
         self._colour, self._depth = self._array(frame.rgb, wp.uint8), self._array(frame.depth, float)
         self._labels = None
-        if self._classifier is not None and frame.mask is not None:
-            self._labels = self._array(mapper.classes.encode(frame.mask), int)
+        if objects is not None and frame.mask is not None:
+            self._labels = self._array(objects.classes.encode(frame.mask), int)
         self._sample = None if self._classifier is None else self._classifier.draw_sample(self._labels)
         self.stride = 1 if self._sample is None else self._sample.stride
         self._rates = self._array(AdamRates(0.0, 0.0, 0.0, 0.0, 0.0, 0.0).lanes(), vec16)

@@ -19,6 +19,7 @@ from ggwarp.kernels.raster.sampling import Sample
 from ggwarp.kernels.workspaces import allocate_loss
 from ggwarp.map.gaussian_map import GaussianMap
 from ggwarp.map.renderer import Renderer
+from ggwarp.pipeline.mapping.build import build_mapper
 from ggwarp.pipeline.mapping.mapper import Mapper, MapperConfig
 from ggwarp.pipeline.tracking.preprocess import ObservationConfig, observe
 from ggwarp.solvers.registration import Cloud, Registrar, RegistrationStage, RegistrationTarget, build_target
@@ -131,7 +132,7 @@ def make_mapper(device: Any, *, recorded: bool | None = None) -> Mapper:
     camera = scene_camera(160, 96)
     batch = scene_gaussians(4000, camera, size=2.5, identity=True)
     _, frame = scene_mapper(batch, camera, device=device)
-    mapper = Mapper(MapperConfig(), camera, device=device, use_identity=True, recorded=recorded)
+    mapper = build_mapper(MapperConfig(), camera, device=device, use_identity=True, recorded=recorded)
     mapper.insert(frame, np.eye(4))
     return mapper
 

@@ -4,23 +4,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
 from ggwarp.geometry.camera import Camera
 from ggwarp.map.covisibility import Covisibility
 from ggwarp.map.gaussian_map import GaussianMap
 from ggwarp.map.gaussians import Gaussians
 from ggwarp.map.renderer import Renderer
-from ggwarp.objects.class_table import NO_OBJECT, ClassTable
-from ggwarp.objects.classifier import Classifier
-from ggwarp.objects.inventory import ObjectRecord, inventory
-from ggwarp.objects.linear_classifier import LinearClassifier
-from ggwarp.objects.mask_supervision import ObjectSupervision, SupervisionConfig
-from ggwarp.objects.visibility import ObjectVisibility
+from ggwarp.objects.mask_supervision import SupervisionConfig
+from ggwarp.objects.object_learning import ObjectLearning
 from ggwarp.pipeline.mapping.densification import lower_opacities
 from ggwarp.pipeline.mapping.depth_completion import DepthCompletion, DepthCompletionConfig
 from ggwarp.pipeline.mapping.exposure import estimate_exposure
@@ -30,7 +24,7 @@ from ggwarp.pipeline.mapping.keyframe_window import WindowConfig, unconfirmed
 from ggwarp.pipeline.mapping.optimiser import MapOptimiser, OptimiserConfig
 from ggwarp.pipeline.mapping.seeding import SeedingConfig, seed_density, seed_gaussians
 from ggwarp.runtime.streams import to_host
-from ggwarp.types import Exposure, Float32, Float64, Frame, Rendered
+from ggwarp.types import Exposure, Float64, Frame, Rendered
 
 
 @dataclass(frozen=True)
@@ -44,8 +38,6 @@ class MapperConfig(OptimiserConfig):
     seeding: SeedingConfig = field(default_factory=SeedingConfig)
     depth_completion: DepthCompletionConfig = field(default_factory=DepthCompletionConfig)
     supervision: SupervisionConfig = field(default_factory=SupervisionConfig)
-    object_probability: float = 0.3
-    """A Gaussian belongs to its likeliest object when that is likelier than this (Gaussian Grouping)."""
     seed: int = 0
     """Of the random choice of keyframes and identities."""
 
@@ -55,31 +47,28 @@ class Mapper:
 
     Attributes:
         map: the Gaussians.
-        classes: the masks' ids as classes.
-        classifier: identity -> class; None without identities.
+        objects: which Gaussian is of which object; None without identities.
         covisibility: what a pose sees of the map; None without a window.
-        sightings: which keyframes showed which class.
         keyframe_indices: frames that were ever used for mapping.
-        voting_indices: frames whose mask voted, but that were not mapped.
     """
 
     def __init__(
         self,
         config: MapperConfig,
         camera: Camera,
+        gaussians: GaussianMap,
         *,
-        device: Any,
-        use_identity: bool,
-        tracked_masks: bool = True,
+        objects: ObjectLearning | None = None,
         window: WindowConfig | None = None,
         monocular: bool = False,
         recorded: bool | None = None,
     ) -> None:
-        """Build an empty map.
+        """Prepare to map.
 
         Args:
             camera: of the keyframes' images.
-            tracked_masks: whether the masks' ids mean the same object in every frame.
+            gaussians: the map to write, empty.
+            objects: learns its objects; None: it has no identities.
             window: fit the keyframes of a covisible window together; None: draw from all.
             monocular: frames have no depth, or an estimate: it seeds the map, but does not bind it.
             recorded: record iterations as graphs and replay them; the default does on CUDA alone: on the CPU
@@ -87,34 +76,19 @@ class Mapper:
         """
         self._config = config
         self._camera = camera
-        self._device = wp.get_device(device)
+        self._device = gaussians.device
         # Two streams: identities must not change which keyframes are drawn.
         self._rng = np.random.default_rng(config.seed)
         self._identity_rng = np.random.default_rng((config.seed, 3))
-        self.map = GaussianMap(device=device, has_identity=use_identity)
-        self.classes = ClassTable()
-        self.classifier = Classifier(config.classifier, self.map, seed=config.seed) if use_identity else None
-        self.sightings = ObjectVisibility()
-        self.voting_indices: list[int] = []
-        self._others = self._turns = 0
-        self._supervision = (
-            ObjectSupervision(
-                config.supervision,
-                camera,
-                self.map,
-                self.classes,
-                self.classifier,
-                tracked=tracked_masks,
-            )
-            if self.classifier is not None
-            else None
-        )
+        self.map = gaussians
+        self.objects = objects
         self._renderer = Renderer(self.map, camera, identity_shapes=config.classifier.shapes)
         self.covisibility = None if window is None else Covisibility(self.map, camera)
         self._depth_completion = DepthCompletion(config.depth_completion, camera) if monocular else None
         self._sampler = self._make_sampler(window)
+        classifier = None if objects is None else objects.classifier
         self._optimiser = MapOptimiser(
-            config, self.map, self._renderer, self.classifier, self._sampler, recorded=recorded
+            config, self.map, self._renderer, classifier, self._sampler, recorded=recorded
         )
 
     @property
@@ -139,11 +113,9 @@ class Mapper:
             frame = replace(frame, depth=self._depth_completion.guess(frame, T_wc, rendered))
         assert frame.depth is not None
         exposure = self._exposure(frame, rendered, exposure)
-        lesson = None
-        if self._supervision is not None:
-            lesson = self._supervision.teach(frame, T_wc, rendered)
-        if lesson is not None:
-            self.sightings.add(frame.index, lesson.labels)
+        seeds = training = None
+        if self.objects is not None:
+            seeds, training = self.objects.supervise_keyframe(frame, T_wc, rendered)
         density = seed_density(frame, rendered, self._config.seeding, exposure)
         batch = seed_gaussians(
             frame,
@@ -151,17 +123,15 @@ class Mapper:
             self._camera,
             density,
             self._config.seeding,
-            codes=None if self.classifier is None else self.classifier.codes,
-            lesson=lesson,
+            identities=seeds,
             rng=self._identity_rng,
             exposure=exposure,
             keyframe_id=len(self._optimiser.keyframes),
         )
         self.map.append(batch)
-        targets = None if lesson is None or frame.mask is None else lesson.targets
         if self._depth_completion is not None:
             frame = replace(frame, depth=None)
-        self._optimiser.add(upload(frame, T_wc, targets, exposure, device=self._device))
+        self._optimiser.add(upload(frame, T_wc, training, exposure, device=self._device))
         self._confirm()
 
     def _confirm(self) -> None:
@@ -187,27 +157,18 @@ class Mapper:
         """
         if self._depth_completion is not None:
             self._depth_completion.remember(frame, T_wc)
-        if not skip_objects and self._supervision is not None and self._config.supervision.votes > 0:
-            self._watch(self._supervision, frame, T_wc)
-
-    def _watch(self, supervision: ObjectSupervision, frame: Frame, T_wc: Float64) -> None:
-        """Let the mask of a frame that is no keyframe vote, and look at a keyframe again, in turn."""
-        c, keyframes = self._config.supervision, self._optimiser.keyframes
-        if not keyframes or not self.map.count:
+        if skip_objects or self.objects is None or not self.ready:
             return
-        if frame.index != keyframes[-1].index and frame.mask is not None and c.watch > 0:
-            self._others += 1
-            if self._others % c.watch != 0:
-                supervision.teach(frame, T_wc, self.render(T_wc), keep=False)
-                self.voting_indices.append(frame.index)
-        self._turns += 1
-        if c.revise > 0 and self._turns % c.revise == 0:
-            number = self._turns // c.revise % len(keyframes)
-            again, T_wc = keyframes[number], self._optimiser.pose(number)
-            past = replace(frame, index=again.index, depth=to_host(again.depth), mask=None)
-            targets = supervision.revise(past, T_wc, self.render(T_wc))
-            if targets is not None and again.labels is not None:
-                again.labels.assign(targets)
+        keyframes = self._optimiser.keyframes
+        if self.objects.vote_is_due(frame, newest=keyframes[-1].index):
+            self.objects.vote(frame, T_wc, self.render(T_wc))
+        number = self.objects.keyframe_to_relabel(len(keyframes))
+        if number is not None:
+            keyframe, T_wc = keyframes[number], self._optimiser.pose(number)
+            view, depth = self.render(T_wc), to_host(keyframe.depth)
+            labels = self.objects.relabel(keyframe.index, depth, T_wc, view)
+            if labels is not None and keyframe.labels is not None:
+                keyframe.labels.assign(labels)
 
     def iterate(self) -> None:
         """Fit the map to one keyframe once; on CUDA, queue it: the host reads nothing."""
@@ -252,63 +213,28 @@ class Mapper:
         r = self._renderer
         r.render(T_wc)
         image = r.plane(r.image)
-        identity = objects = classes = confidence = None
-        opacity = np.float32(1.0) - r.plane(r.transmittance)
-        if self.classifier is not None:
-            identity = np.ascontiguousarray(image[4:].transpose(1, 2, 0))
-            size = self._camera.height, self._camera.width
-            classes, confidence = self.classifier.classify_image(r.image, *size)
-            objects = np.where(opacity > 0.5, self.classes.decode(classes), 0).astype(np.int32)
-        return Rendered(
+        rendered = Rendered(
             rgb=np.ascontiguousarray(np.clip(image[:3], 0.0, 1.0).transpose(1, 2, 0)),
             depth=image[3],
             median_depth=r.plane(r.median_depth),
-            opacity=opacity,
-            identity=identity,
-            objects=objects,
-            classes=classes,
-            confidence=confidence,
+            opacity=np.float32(1.0) - r.plane(r.transmittance),
         )
+        if self.objects is None:
+            return rendered
+        identity = np.ascontiguousarray(image[4:].transpose(1, 2, 0))
+        return self.objects.add_to_render(rendered, r.image, identity)
 
     def export(self) -> Gaussians:
         """Return the map on the host, each Gaussian with its object's id as the masks name it."""
-        return replace(self.map.to_host(), object_ids=self._belongings()[0])
-
-    def objects(self, names: dict[int, str]) -> list[ObjectRecord]:
-        """Describe the map's objects; ``names`` are their classes by id, where known."""
-        object_ids, probabilities = self._belongings()
-        arrays = self.map.to_host()
-        mask_ids = self.classes.mask_ids  # the names are of these: ids made up here may be others' numbers
-        return inventory(
-            arrays.means,
-            arrays.colours,
-            object_ids,
-            names={i: name for i, name in names.items() if i in mask_ids},
-            sources=self.classes.sources(),
-            sightings=self.sightings.renamed(self.classes.ids),
-            probabilities=probabilities,
+        return replace(
+            self.map.to_host(), object_ids=None if self.objects is None else self.objects.object_ids()[0]
         )
-
-    def linear_classifier(self) -> LinearClassifier | None:
-        """Return the identity classifier on the host; None without identities."""
-        if self.classifier is None:
-            return None
-        weights, biases = self.classifier.to_host()
-        return LinearClassifier(weights, biases, self.classes.ids[: self.classifier.count])
 
     def _exposure(self, frame: Frame, rendered: Rendered | None, tracked: Exposure | None) -> Exposure:
         """Return where the exposure of a new keyframe starts; the first one has the map's own."""
         if rendered is None or not self._optimiser.keyframes or self._config.exposure_rate <= 0.0:
             return Exposure()
         return tracked or estimate_exposure(frame, rendered, self.keyframe_exposure(-1))
-
-    def _belongings(self) -> tuple[NDArray[np.int32] | None, Float32 | None]:
-        """Return [n] the object of each Gaussian, and [n] how probable that is."""
-        if self.classifier is None:
-            return None, None
-        classes, probabilities = self.classifier.classify_map()
-        sure = probabilities > self._config.object_probability
-        return np.where(sure, self.classes.decode(classes), NO_OBJECT).astype(np.int32), probabilities
 
     def _make_sampler(self, window: WindowConfig | None) -> KeyframeSampler:
         if window is None:

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from ggwarp.geometry.camera import Camera
 from ggwarp.geometry.se3 import quats_from_matrices
 from ggwarp.map.gaussians import SH_C0, Gaussians
-from ggwarp.objects.classifier import random_identities
-from ggwarp.objects.mask_supervision import LabelTargets
+from ggwarp.objects.classifier import IdentitySeeds, random_identities
 from ggwarp.types import Exposure, Float32, Float64, Frame, Rendered
 
 _NEUTRAL = Exposure()
@@ -115,8 +114,7 @@ def seed_gaussians(
     density: Float32,
     config: SeedingConfig,
     *,
-    codes: Float32 | None,
-    lesson: LabelTargets | None,
+    identities: IdentitySeeds | None,
     rng: np.random.Generator,
     exposure: Exposure = _NEUTRAL,
     keyframe_id: int = 0,
@@ -127,8 +125,7 @@ def seed_gaussians(
         frame: the keyframe, at the map's image size.
         T_wc: [4, 4] its pose.
         density: [h, w] Gaussians a pixel.
-        codes: [classes, 16] the identity each class starts from; None without identities.
-        lesson: what the frame says of objects; None: nothing.
+        identities: what they begin as; None: they have none.
         rng: draws the identities.
         exposure: of the frame's picture.
         keyframe_id: number of the keyframe.
@@ -154,26 +151,29 @@ def seed_gaussians(
         log_scales=np.log(np.maximum(scales, 1e-5)).astype(np.float32),
         opacity_logits=np.full(count, np.log(config.opacity / (1.0 - config.opacity)), np.float32),
         colours=((exposure.undo_exposure(frame.rgb[rows, cols]) - 0.5) / SH_C0).astype(np.float32),
-        identities=None
-        if codes is None
-        else _identities(codes, None if lesson is None else lesson.seeds[rows, cols], count, config, rng),
+        identities=None if identities is None else _identities(identities, rows, cols, config, rng),
         keyframe_ids=np.full(count, keyframe_id, np.int32),
-        votes=None if lesson is None else (lesson.labels[rows, cols] >= 0).astype(np.int32),
+        votes=None
+        if identities is None or identities.votes is None
+        else (identities.votes[rows, cols] >= 0).astype(np.int32),
     )
 
 
 def _identities(
-    codes: Float32,
-    classes: NDArray[np.int32] | None,
-    count: int,
+    seeds: IdentitySeeds,
+    rows: NDArray[np.intp],
+    cols: NDArray[np.intp],
     config: SeedingConfig,
     rng: np.random.Generator,
 ) -> Float32:
-    noise = random_identities(count, rng)
-    if classes is None:
+    noise = random_identities(len(rows), rng)
+    if seeds.classes is None:
         return noise
+    classes = seeds.classes[rows, cols]
     known = (classes >= 0)[:, None]
-    mixed = (1.0 - config.identity_noise) * codes[np.maximum(classes, 0)] + config.identity_noise * noise
+    mixed = (1.0 - config.identity_noise) * seeds.codes[
+        np.maximum(classes, 0)
+    ] + config.identity_noise * noise
     return np.where(known, mixed, noise).astype(np.float32)
 
 

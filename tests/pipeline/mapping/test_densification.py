@@ -14,8 +14,9 @@ from ggwarp.geometry import se3
 from ggwarp.kernels.optim.adam import OPACITY_LANE
 from ggwarp.map.gaussian_map import PARAMETERS, GaussianMap
 from ggwarp.map.gaussians import Gaussians
+from ggwarp.pipeline.mapping.build import build_mapper
 from ggwarp.pipeline.mapping.densification import DensifyConfig, densify_gaussians, lower_opacities
-from ggwarp.pipeline.mapping.mapper import Mapper, MapperConfig
+from ggwarp.pipeline.mapping.mapper import MapperConfig
 
 CONFIG = DensifyConfig(interval=1, threshold=0.5, split_scale=0.1)
 
@@ -111,7 +112,7 @@ def test_a_mapper_multiplies_what_it_cannot_fit(device: str) -> None:
     for interval in (0, 10, 10):
         densify = DensifyConfig(interval=interval, offset=5, threshold=1e-4, split_scale=0.05)
         config = MapperConfig(densify=densify)
-        mapper = Mapper(config, office.camera, device=device, use_identity=False)
+        mapper = build_mapper(config, office.camera, device=device, use_identity=False)
         mapper.insert(frame, frame.T_wc)
         for _ in range(30):
             mapper.iterate()
@@ -125,7 +126,7 @@ def test_a_mapper_multiplies_what_it_cannot_fit(device: str) -> None:
 def test_a_mapper_resets_what_its_newest_keyframe_does_not_see(device: str) -> None:
     office = SyntheticOffice(scale=0.1)
     config = MapperConfig(densify=DensifyConfig(reset_interval=4))
-    mapper = Mapper(config, office.camera, device=device, use_identity=False)
+    mapper = build_mapper(config, office.camera, device=device, use_identity=False)
     for index in (0, 60):
         frame = dataclasses.replace(office[index], index=index)
         assert frame.T_wc is not None

@@ -8,6 +8,7 @@ import pytest
 
 from ggwarp.datasets.built_in.faults import SensorFaults
 from ggwarp.datasets.built_in.synthetic import SyntheticOffice
+from ggwarp.pipeline.mapping.build import build_mapper
 from ggwarp.pipeline.mapping.exposure import estimate_exposure
 from ggwarp.pipeline.mapping.mapper import Mapper, MapperConfig
 from ggwarp.types import Exposure, Frame, Rendered
@@ -51,7 +52,7 @@ def test_a_map_that_shows_too_little_leaves_the_default() -> None:
 
 
 def made(device: str, frames: list[Frame], config: MapperConfig, *, recorded: bool = False) -> Mapper:
-    mapper = Mapper(config, OFFICE.camera, device=device, use_identity=False, recorded=recorded)
+    mapper = build_mapper(config, OFFICE.camera, device=device, use_identity=False, recorded=recorded)
     for frame in frames:
         assert frame.T_wc is not None
         mapper.insert(frame, frame.T_wc)

@@ -7,6 +7,7 @@ import pytest
 from ggwarp.datasets.built_in.synthetic import SyntheticOffice
 from ggwarp.geometry import se3
 from ggwarp.map.gaussian_map import GaussianMap
+from ggwarp.pipeline.mapping.build import build_mapper
 from ggwarp.pipeline.mapping.keyframe_window import WindowConfig
 from ggwarp.pipeline.mapping.mapper import Mapper, MapperConfig
 from ggwarp.types import Frame
@@ -20,7 +21,7 @@ def frame() -> Frame:
 
 
 def made(device: str, config: MapperConfig = MapperConfig(), *, use_identity: bool = True) -> Mapper:  # noqa: B008
-    return Mapper(config, OFFICE.camera, device=device, use_identity=use_identity)
+    return build_mapper(config, OFFICE.camera, device=device, use_identity=use_identity)
 
 
 def psnr(mapper: Mapper, frame: Frame) -> float:
@@ -167,7 +168,7 @@ def test_recorded_iterations_are_the_direct_ones_to_the_bit(
     monkeypatch.setitem(GaussianMap.__init__.__kwdefaults__, "capacity", 4500)
     config = MapperConfig(prune_interval=7, prune_scale=0.08, pose_rates=(1e-4, 1e-4))
     mappers = [
-        Mapper(config, OFFICE.camera, device=device, use_identity=use_identity, recorded=recorded)
+        build_mapper(config, OFFICE.camera, device=device, use_identity=use_identity, recorded=recorded)
         for recorded in (False, True)
     ]
     frames = [frame, dataclasses.replace(OFFICE[40], mask=None), OFFICE[80]]
@@ -192,7 +193,7 @@ def test_recorded_iterations_are_the_direct_ones_to_the_bit(
 
 def test_monocular_keyframes_get_their_depth_from_the_map_and_the_motion(device: str) -> None:
     office = SyntheticOffice(scale=0.2)
-    mapper = Mapper(MapperConfig(), office.camera, device=device, use_identity=False, monocular=True)
+    mapper = build_mapper(MapperConfig(), office.camera, device=device, use_identity=False, monocular=True)
     frames = [dataclasses.replace(office[i], depth=None) for i in range(8)]
     for frame in frames[:-1]:
         assert frame.T_wc is not None
@@ -222,7 +223,7 @@ def test_a_full_window_drops_what_it_does_not_confirm(device: str) -> None:
     shots = [0, 1, 2, 20]  # the last but one brings what the last does not see
     counts = {}
     for name, window in (("kept", dataclasses.replace(config, confirmations=0)), ("dropped", config)):
-        mapper = Mapper(MapperConfig(), OFFICE.camera, device=device, use_identity=False, window=window)
+        mapper = build_mapper(MapperConfig(), OFFICE.camera, device=device, use_identity=False, window=window)
         for number, index in enumerate(shots):
             frame = OFFICE[index]
             assert frame.T_wc is not None

@@ -6,7 +6,7 @@ from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from ggwarp.geometry.se3 import quats_from_matrices
 from ggwarp.map.gaussians import SH_C0
-from ggwarp.objects.mask_supervision import LabelTargets
+from ggwarp.objects.classifier import IdentitySeeds
 from ggwarp.pipeline.mapping.seeding import (
     SeedingConfig,
     choose_pixels,
@@ -70,7 +70,7 @@ def test_gaussians_lie_on_the_surface_and_flat_on_it(rng: np.random.Generator) -
     seen = frame(depth)
     density = seed_density(seen, None, CONFIG)
 
-    batch = seed_gaussians(seen, T_wc, CAMERA, density, CONFIG, codes=None, lesson=None, rng=rng)
+    batch = seed_gaussians(seen, T_wc, CAMERA, density, CONFIG, identities=None, rng=rng)
 
     local = (batch.means - T_wc[:3, 3]) @ T_wc[:3, :3]
     np.testing.assert_allclose(local @ normal, -2.0, atol=1e-4)
@@ -102,7 +102,7 @@ def test_gaussians_are_added_where_the_map_is_wrong(rendered: Rendered) -> None:
 def test_no_depth_no_gaussian(rng: np.random.Generator) -> None:
     nothing = frame(np.zeros((48, 64), np.float32))
     density = seed_density(nothing, None, CONFIG)
-    batch = seed_gaussians(nothing, np.eye(4), CAMERA, density, CONFIG, codes=None, lesson=None, rng=rng)
+    batch = seed_gaussians(nothing, np.eye(4), CAMERA, density, CONFIG, identities=None, rng=rng)
     assert len(batch) == 0
 
 
@@ -128,8 +128,7 @@ def test_identities_start_from_their_object_s_code(rng: np.random.Generator) -> 
         CAMERA,
         density,
         CONFIG,
-        codes=codes,
-        lesson=LabelTargets(classes, classes, classes),
+        identities=IdentitySeeds(codes, classes, classes),
         rng=rng,
     )
     rows, cols = choose_pixels(density, seen.index)
@@ -155,7 +154,7 @@ def test_seeds_have_the_maps_exposure_not_the_pictures() -> None:
     seen = np.exp(exposure.log_gain) * true + exposure.offset
     taken = frame(depth, np.rint(255 * seen).astype(np.uint8))
     density = seed_density(taken, None, CONFIG, exposure)
-    arguments: dict = {"codes": None, "lesson": None, "rng": rng, "exposure": exposure}
+    arguments: dict = {"identities": None, "rng": rng, "exposure": exposure}
     batch = seed_gaussians(taken, np.eye(4), CAMERA, density, CONFIG, **arguments)
     rows, cols = choose_pixels(density, taken.index)
     np.testing.assert_allclose(batch.colours * SH_C0 + 0.5, true[rows, cols], atol=0.004)

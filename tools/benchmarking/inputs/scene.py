@@ -14,6 +14,7 @@ from ggwarp.kernels.raster.project import LOW_PASS
 from ggwarp.map.gaussians import SH_C0, Gaussians
 from ggwarp.objects.classifier import ClassifierConfig, random_identities
 from ggwarp.objects.mask_supervision import SupervisionConfig
+from ggwarp.pipeline.mapping.build import build_mapper
 from ggwarp.pipeline.mapping.mapper import Mapper, MapperConfig
 from ggwarp.pipeline.mapping.seeding import SeedingConfig
 from ggwarp.types import Float64, Frame
@@ -92,7 +93,7 @@ def scene_mapper(gaussians: Gaussians, camera: Camera, *, device: Any) -> tuple[
         classifier=ClassifierConfig(rate=0.0),
         supervision=SupervisionConfig(votes=0),
     )
-    mapper = Mapper(config, camera, device=device, use_identity=gaussians.identities is not None)
+    mapper = build_mapper(config, camera, device=device, use_identity=gaussians.identities is not None)
     mapper.map.append(gaussians)
     view = mapper.render(np.eye(4))
     noise = np.random.default_rng(1).normal(scale=8.0, size=view.rgb.shape)
