@@ -2,13 +2,17 @@
 """Shared fixtures: devices, generators, the folder of real recordings."""
 
 import os
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 import warp as wp
 from hypothesis import settings
+
+from ggwarp.runtime.launch import cpu_threads, set_cpu_threads
 
 wp.config.log_level = wp.LOG_WARNING
 # No test measures time: a first example may compile a kernel, and a machine may be busy.
@@ -35,3 +39,22 @@ def recordings() -> Path:
     if not root.is_dir():
         pytest.skip(f"no recordings at {root}: set GGWARP_TEST_DATA to a folder that holds them")
     return root
+
+
+@pytest.fixture
+def assert_same_on_any_threads() -> Callable[[Callable[[], Any]], None]:
+    """Check that the arrays that a function returns do not change by a bit with the number of threads."""
+
+    def check(run: Callable[[], Any]) -> None:
+        threads, results = cpu_threads(), []
+        try:
+            for count in (1, 2, 3):
+                set_cpu_threads(count)
+                results.append(run())
+        finally:
+            set_cpu_threads(threads)
+        for arrays in zip(*results, strict=True):
+            for other in arrays[1:]:
+                np.testing.assert_array_equal(arrays[0], other)
+
+    return check

@@ -5,48 +5,15 @@ import numpy as np
 import pytest
 import warp as wp
 
+from benchmarking.inputs.walls import walls_cloud, walls_target
 from ggwarp.geometry import se3
 from ggwarp.solvers.registration import (
-    Cloud,
     Registrar,
     RegistrationStage,
-    RegistrationTarget,
-    build_target,
     register,
 )
 
 STAGES = [RegistrationStage(0.3, 6, 1e-3, 30.0, thinning=3), RegistrationStage(0.08, 15, 1e-6, 3.0)]
-
-
-def walls(rng, n):
-    """Points of three walls that meet, and the quaternions of their ellipses, flat along the last axis."""
-    wall = rng.integers(0, 3, n)
-    points = rng.uniform(0.2, 2.0, (n, 3))
-    points[np.arange(n), wall] = 0.0
-    turns = ([0, np.pi / 2, 0], [np.pi / 2, 0, 0], [0, 0, 0])
-    quats = np.array([se3.quat_from_matrix(se3.so3_exp(w)) for w in turns])
-    return points, quats[wall]
-
-
-def target(rng, n, device) -> RegistrationTarget:
-    points, quats = walls(rng, n)
-    return build_target(
-        wp.array(points, dtype=wp.vec3, device=device),
-        wp.array(quats, dtype=wp.vec4, device=device),
-        wp.full(n, wp.vec3(0.05, 0.05, 0.002), dtype=wp.vec3, device=device),
-        cell_size=0.1,
-        device=device,
-    )
-
-
-def cloud(rng, n, T, device) -> Cloud:
-    points, _ = walls(rng, n)
-    seen = se3.transform_points(se3.inverse(T), points)
-    covariance = wp.mat33(*(1e-5 * np.eye(3)).ravel())
-    return Cloud(
-        wp.array(seen, dtype=wp.vec3, device=device),
-        wp.full(n, covariance, dtype=wp.mat33, device=device),
-    )
 
 
 @pytest.mark.parametrize("recorded", [False, True])
@@ -54,10 +21,10 @@ def test_any_clouds_and_targets_in_a_row(rng, device, recorded):
     if recorded and wp.get_device(device).is_cuda and not wp.is_conditional_graph_supported():
         pytest.skip("the driver has no loops in graphs")
     registrar = Registrar(device=device, recorded=recorded)
-    targets = [target(rng, 4000, device), target(rng, 3000, device)]
+    targets = [walls_target(rng, 4000, device), walls_target(rng, 3000, device)]
     for i, n in enumerate((1000, 900, 1200, 4000, 700, 3999)):  # 4000: outgrows the arrays
         T = se3.se3_exp(rng.normal(size=6) * 0.02)
-        seen = cloud(rng, n, T, device)
+        seen = walls_cloud(rng, n, T, device)
         found = registrar.register(seen, targets[i % 2], np.eye(4), STAGES)
         fresh = register(seen, targets[i % 2], np.eye(4), STAGES, device=device)
         assert np.linalg.norm(se3.se3_log(se3.inverse(T) @ found.T_wc)) < 2e-3
@@ -72,10 +39,10 @@ def test_any_clouds_and_targets_in_a_row(rng, device, recorded):
 @pytest.mark.parametrize("recorded", [False, True])
 def test_nothing_to_register(rng, device, recorded):
     registrar = Registrar(device=device, recorded=recorded)
-    empty = cloud(rng, 0, np.eye(4), device)
+    empty = walls_cloud(rng, 0, np.eye(4), device)
     T_start = se3.se3_exp([0.1, 0.2, 0.3, 0.0, 0.1, 0.0])
     for _ in range(3):
-        for points, stages in ((empty, STAGES), (cloud(rng, 50, np.eye(4), device), [])):
-            found = registrar.register(points, target(rng, 100, device), T_start, stages)
+        for points, stages in ((empty, STAGES), (walls_cloud(rng, 50, np.eye(4), device), [])):
+            found = registrar.register(points, walls_target(rng, 100, device), T_start, stages)
             np.testing.assert_allclose(found.T_wc, T_start, atol=1e-12)
             assert found.matched == 0 and not found.information.any()

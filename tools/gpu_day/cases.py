@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 
 from benchmarking.inputs.scene import scene_camera, scene_gaussians, scene_mapper
+from benchmarking.inputs.walls import walls_cloud, walls_target
 from ggwarp import FrameReader, Slam, SlamConfig
 from ggwarp.datasets import SyntheticOffice
 from ggwarp.geometry import se3
@@ -22,7 +23,7 @@ from ggwarp.map.renderer import Renderer
 from ggwarp.pipeline.mapping.build import build_mapper
 from ggwarp.pipeline.mapping.mapper import Mapper, MapperConfig
 from ggwarp.pipeline.tracking.preprocess import ObservationConfig, observe
-from ggwarp.solvers.registration import Cloud, Registrar, RegistrationStage, RegistrationTarget, build_target
+from ggwarp.solvers.registration import Registrar, RegistrationStage
 from ggwarp.types import Frame
 
 Arrays = dict[str, Any]
@@ -152,37 +153,6 @@ def mapped(device: Any, *, recorded: bool | None = None, iterations: int = 24) -
 def mapping(device: Any) -> Arrays:
     """Loosely compared: Adam divides small numbers by small numbers."""
     return mapped(device)
-
-
-def _walls(rng: np.random.Generator, n: int) -> tuple[Any, Any]:
-    """Points of three walls that meet, and the quaternions of ellipses that are flat on them."""
-    wall = rng.integers(0, 3, n)
-    points = rng.uniform(0.2, 2.0, (n, 3))
-    points[np.arange(n), wall] = 0.0
-    turns = ([0, np.pi / 2, 0], [np.pi / 2, 0, 0], [0, 0, 0])
-    return points, np.array([se3.quat_from_matrix(se3.so3_exp(w)) for w in turns])[wall]
-
-
-def walls_target(rng: np.random.Generator, n: int, device: Any) -> RegistrationTarget:
-    """Return ``n`` flat Gaussians on three walls, to register to."""
-    points, quats = _walls(rng, n)
-    return build_target(
-        wp.array(points, dtype=wp.vec3, device=device),
-        wp.array(quats, dtype=wp.vec4, device=device),
-        wp.full(n, wp.vec3(0.05, 0.05, 0.002), dtype=wp.vec3, device=device),
-        cell_size=0.1,
-        device=device,
-    )
-
-
-def walls_cloud(rng: np.random.Generator, n: int, T_wc: Any, device: Any) -> Cloud:
-    """Return ``n`` points of the walls in the frame of a camera at ``T_wc``."""
-    points = se3.transform_points(se3.inverse(T_wc), _walls(rng, n)[0])
-    covariance = wp.mat33(*(1e-5 * np.eye(3)).ravel())
-    return Cloud(
-        wp.array(points, dtype=wp.vec3, device=device),
-        wp.full(n, covariance, dtype=wp.mat33, device=device),
-    )
 
 
 def registered(device: Any, *, recorded: bool | None) -> Arrays:

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from benchmarking.inputs.walls import walls_cloud, walls_target
 from ggwarp.runtime import loading
 from ggwarp.runtime.streams import stream_scopes
 from ggwarp.solvers.registration import Registrar
@@ -34,8 +35,6 @@ from gpu_day.cases import (
     Arrays,
     make_mapper,
     mapped,
-    walls_cloud,
-    walls_target,
 )
 
 _MOST_NUMBERS = 12_000  # of an array: the file travels

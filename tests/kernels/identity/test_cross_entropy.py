@@ -14,7 +14,6 @@ from ggwarp.kernels.math import vec16
 from ggwarp.kernels.raster.sampling import Sample
 from ggwarp.kernels.workspaces import allocate_identity
 from ggwarp.ops.reference import identity as oracle
-from ggwarp.runtime.launch import cpu_threads, set_cpu_threads
 
 FORMS = ["rows", "pixels"]
 
@@ -200,14 +199,6 @@ def test_says_what_does_not_fit(rng):
         run(*(v[:0] if i > 1 else v for i, v in enumerate(values)), spare=0)
 
 
-def test_threads_do_not_change_a_bit(rng):
+def test_threads_do_not_change_a_bit(rng, assert_same_on_any_threads):
     values = scene(rng, 70, 40, 11)
-    threads, results = cpu_threads(), []
-    try:
-        for count in (1, 2):
-            set_cpu_threads(count)
-            results.append(run(*values))
-    finally:
-        set_cpu_threads(threads)
-    for one, two in zip(*results, strict=True):
-        np.testing.assert_array_equal(one, two)
+    assert_same_on_any_threads(lambda: run(*values))

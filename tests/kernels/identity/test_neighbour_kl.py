@@ -13,7 +13,6 @@ from ggwarp.kernels.losses.rgbd import LOSS_COUNT, OBJECT_3D
 from ggwarp.kernels.math import vec16
 from ggwarp.kernels.workspaces import allocate_neighbours
 from ggwarp.ops.reference import identity as oracle
-from ggwarp.runtime.launch import cpu_threads, set_cpu_threads
 
 
 def scene(rng, n, samples, k, classes):
@@ -122,14 +121,6 @@ def test_equal_identities_have_no_divergence(rng):
     assert all(np.abs(g).max() < 1e-7 for g in gradients)
 
 
-def test_threads_do_not_change_a_bit(rng):
+def test_threads_do_not_change_a_bit(rng, assert_same_on_any_threads):
     values = scene(rng, 100, 300, 5, 9)
-    threads, results = cpu_threads(), []
-    try:
-        for count in (1, 2):
-            set_cpu_threads(count)
-            results.append(run(*values))
-    finally:
-        set_cpu_threads(threads)
-    for one, two in zip(*results, strict=True):
-        np.testing.assert_array_equal(one, two)
+    assert_same_on_any_threads(lambda: run(*values))

@@ -16,7 +16,6 @@ from ggwarp.kernels.raster.sampling import Sample
 from ggwarp.kernels.raster.tiles import bin_splats, tiles_across
 from ggwarp.kernels.workspaces import allocate_tiles
 from ggwarp.ops.reference.render import composite as composite_reference
-from ggwarp.runtime import launch
 
 NAMES = ("means2d", "conics", "slopes", "features")
 
@@ -307,17 +306,10 @@ def test_identities_are_blended_in_the_sample_alone(rng, cpu_blocks, stride, pha
     assert gradients[3][:, 4:].any() == (phase >= 0)
 
 
-def test_thread_count_does_not_change_a_bit(rng):
+def test_thread_count_does_not_change_a_bit(rng, assert_same_on_any_threads):
     scene, size = make_scene(rng, n=200, width=100, height=90)
     seeds = random_gradients(rng, 20, size)
-    before = launch.cpu_threads()
-    results = []
-    for threads in (1, 2):
-        launch.set_cpu_threads(threads)
-        results.append(run_all(scene, size, "cpu", seeds))
-    launch.set_cpu_threads(before)
-    for one, two in zip(*results, strict=True):
-        assert np.array_equal(one, two)
+    assert_same_on_any_threads(lambda: run_all(scene, size, "cpu", seeds))
 
 
 def test_no_splats_leave_black(device):
