@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ggwarp.kernels.math import vec16
+from ggwarp.kernels.math import vec6, vec16
 from ggwarp.runtime.launch import launch_split
 
 wp.set_module_options({"enable_backward": False})
@@ -90,6 +90,24 @@ class AdamState:
     steps: Any
     first_identity: Any = None
     second_identity: Any = None
+
+
+@wp.func
+def step_of_six(g: vec6, rates: vec6, moments: wp.array[vec6], steps: wp.array[wp.int32]) -> vec6:
+    """Count the step, update the two ``moments`` by the gradient, and return what is to be subtracted."""
+    step = steps[0] + 1
+    steps[0] = step
+    t = float(step)
+    m = BETA1 * moments[0] + (1.0 - BETA1) * g
+    v = BETA2 * moments[1] + (1.0 - BETA2) * wp.cw_mul(g, g)
+    moments[0] = m
+    moments[1] = v
+    c1 = 1.0 / (1.0 - wp.exp(t * LOG_BETA1))
+    c2 = 1.0 / wp.sqrt(1.0 - wp.exp(t * LOG_BETA2))
+    x = vec6()
+    for k in range(6):
+        x[k] = rates[k] * c1 * m[k] / (wp.sqrt(v[k]) * c2 + EPSILON)
+    return x
 
 
 @wp.func

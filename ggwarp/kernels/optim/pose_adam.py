@@ -6,7 +6,7 @@ from typing import Any
 import warp as wp
 
 from ggwarp.kernels.math import vec6, vec6d
-from ggwarp.kernels.optim.adam import BETA1, BETA2, EPSILON, LOG_BETA1, LOG_BETA2
+from ggwarp.kernels.optim.adam import step_of_six
 from ggwarp.kernels.rigid import orthonormalised, se3_exp
 
 wp.set_module_options({"enable_backward": False})
@@ -26,19 +26,13 @@ def _step_pose(
     g = gradient[0]
     if not (wp.dot(g, g) < _FINITE):
         return
-    step = steps[0] + 1
-    steps[0] = step
-    t = float(step)
-    m = BETA1 * moments[0] + (1.0 - BETA1) * g
-    v = BETA2 * moments[1] + (1.0 - BETA2) * wp.cw_mul(g, g)
-    moments[0] = m
-    moments[1] = v
-    c1 = 1.0 / (1.0 - wp.exp(t * LOG_BETA1))
-    c2 = 1.0 / wp.sqrt(1.0 - wp.exp(t * LOG_BETA2))
+    rates = vec6()
+    for k in range(6):
+        rates[k] = wp.where(k < 3, rate_translation, rate_rotation)
+    step = step_of_six(g, rates, moments, steps)
     xi = vec6d()
     for k in range(6):
-        rate = wp.where(k < 3, rate_translation, rate_rotation)
-        xi[k] = wp.float64(-rate * c1 * m[k] / (wp.sqrt(v[k]) * c2 + EPSILON))
+        xi[k] = -wp.float64(step[k])
     T_cw[0] = wp.mat44(orthonormalised(se3_exp(xi) * wp.mat44d(T_cw[0])))
 
 

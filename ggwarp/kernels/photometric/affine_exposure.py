@@ -10,7 +10,7 @@ from typing import Any
 import warp as wp
 
 from ggwarp.kernels.math import vec6
-from ggwarp.kernels.optim.adam import BETA1, BETA2, EPSILON, LOG_BETA1, LOG_BETA2
+from ggwarp.kernels.optim.adam import step_of_six
 from ggwarp.runtime.launch import launch_split
 
 wp.set_module_options({"enable_backward": False})
@@ -135,19 +135,7 @@ def _step_kernel(
         g += bins[k]
     if not (wp.dot(g, g) < _FINITE):
         return
-    step = steps[0] + 1
-    steps[0] = step
-    t = float(step)
-    m = BETA1 * moments[0] + (1.0 - BETA1) * g
-    v = BETA2 * moments[1] + (1.0 - BETA2) * wp.cw_mul(g, g)
-    moments[0] = m
-    moments[1] = v
-    c1 = 1.0 / (1.0 - wp.exp(t * LOG_BETA1))
-    c2 = 1.0 / wp.sqrt(1.0 - wp.exp(t * LOG_BETA2))
-    moved = exposure[0]
-    for k in range(6):
-        moved[k] -= rate * c1 * m[k] / (wp.sqrt(v[k]) * c2 + EPSILON)
-    exposure[0] = moved
+    exposure[0] = exposure[0] - step_of_six(g, vec6(rate), moments, steps)
 
 
 def expose(image: Any, exposure: Any, *, height: int, width: int, exposed: Any, device: Any) -> None:
