@@ -23,12 +23,11 @@ from ggwarp.pipeline.mapping.keyframe_window import WindowConfig
 from ggwarp.pipeline.mapping.mapper import MapperConfig
 from ggwarp.pipeline.slam import KeyframePolicyKind, SlamConfig
 from ggwarp.pipeline.tracking.gicp import GicpConfig
-from ggwarp.pipeline.tracking.hybrid import HybridConfig
 from ggwarp.pipeline.tracking.initialisation import InitialisationConfig
 from ggwarp.pipeline.tracking.keyframe_policy import CovisibilityConfig, KeyframeConfig
-from ggwarp.pipeline.tracking.photometric import PhotometricConfig
 from ggwarp.pipeline.tracking.point_map import TrackableConfig
-from ggwarp.pipeline.tracking.tracker import TrackerKind
+from ggwarp.pipeline.tracking.pose_refinement import RefinementConfig
+from ggwarp.pipeline.tracking.tracker import TrackerError, tracker_factory
 
 Preset = Literal["gg-slam", "gs-icp", "monogs", "fast", "quality"]
 MasksKind = Literal["tracked", "untracked"]
@@ -77,7 +76,7 @@ class RunConfig:
     """Where all other options start from: gs-icp learns no objects; monogs tracks by rendering and fits poses
     with the map; fast and quality map less and more."""
 
-    tracker: TrackerKind = "gicp"
+    tracker: str = "gicp"
     """How poses are found: gicp registers depth to the map's points; photometric looks for the pose at which
     the map looks like the picture; hybrid asks colour where geometry leaves the pose uncertain; ground-truth
     takes the data set's own."""
@@ -108,8 +107,7 @@ class RunConfig:
     """What is wrong with the camera of a built-in scene (--seq office, wall); without options nothing is."""
 
     gicp: GicpConfig = field(default_factory=GicpConfig)
-    photometric: PhotometricConfig = field(default_factory=PhotometricConfig)
-    hybrid: HybridConfig = field(default_factory=HybridConfig)
+    refinement: RefinementConfig = field(default_factory=RefinementConfig)
     initialisation: InitialisationConfig = field(default_factory=InitialisationConfig)
     keyframes: KeyframeConfig = field(default_factory=KeyframeConfig)
     trackable: TrackableConfig = field(default_factory=TrackableConfig)
@@ -126,8 +124,7 @@ class RunConfig:
         return SlamConfig(
             tracker=self.tracker,
             gicp=self.gicp,
-            photometric=self.photometric,
-            hybrid=self.hybrid,
+            refinement=self.refinement,
             keyframes=self.keyframes,
             trackable=self.trackable,
             mapper=self.mapper,
@@ -184,9 +181,7 @@ def _fast(config: RunConfig) -> RunConfig:
     mapper = config.mapper
     return dataclasses.replace(
         config,
-        gicp=dataclasses.replace(
-            config.gicp, observation=dataclasses.replace(config.gicp.observation, points=6000)
-        ),
+        gicp=dataclasses.replace(config.gicp, points=6000),
         mapper=dataclasses.replace(
             mapper,
             iterations=2,
@@ -238,6 +233,10 @@ def check(config: RunConfig) -> None:
     """
     if not config.seq:
         raise ConfigError("--seq is missing: give a sequence's name or its folder, such as --seq office0")
+    try:
+        tracker_factory(config.tracker)
+    except TrackerError as error:
+        raise ConfigError(f"--tracker {error}") from None
     if config.tracker == "photometric" and config.policy == "overlap":
         raise ConfigError("--policy overlap: --tracker photometric keeps no points; choose covisibility")
     if config.preset not in _PRESETS:

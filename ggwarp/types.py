@@ -8,7 +8,7 @@ Pixel (0, 0) is the *centre* of the top-left pixel.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
@@ -79,6 +79,41 @@ class Verdict(Enum):
 
 
 @dataclass(frozen=True)
+class FramePoints:
+    """The points that a frame was tracked with, and how near the map's trackable points are.
+
+    Attributes:
+        points: [n, 3] float32 the frame's subsampled points, camera frame, metres.
+        quats: [n, 4] float32 rotation of each point's ellipse, camera frame, w first.
+        spreads: [n, 3] float32 standard deviations of the point itself on the ellipse's axes, metres:
+            free along the surface, the sensor's noise across it. What trackable points keep.
+        distances2: [n] float32 squared distance to the nearest trackable Gaussian after
+            registration, m^2; inf where none is within reach.
+    """
+
+    points: Float32
+    quats: Float32
+    spreads: Float32
+    distances2: Float32
+
+    @property
+    def overlap(self) -> float:
+        """Share of the points with a trackable Gaussian within reach; 0 where there are no points."""
+        return overlap_of(self.distances2)
+
+    @property
+    def rmse(self) -> float:
+        """Root mean square of the distances within reach, metres; 0 where there are none."""
+        matched = self.distances2[np.isfinite(self.distances2)]
+        return float(np.sqrt(matched.mean(dtype=np.float64))) if len(matched) else 0.0
+
+
+def overlap_of(distances2: Float32) -> float:
+    """Return the share of ``distances2`` [n] that are finite; 0 where there are none."""
+    return float(np.isfinite(distances2).mean()) if len(distances2) else 0.0
+
+
+@dataclass(frozen=True)
 class TrackResult:
     """A frame's pose and how far to trust it.
 
@@ -86,35 +121,24 @@ class TrackResult:
         T_wc: [4, 4] float64 camera-to-world.
         verdict: converged, poor (usable, but weak) or lost (``T_wc`` is a prediction).
         reason: one clause that says why, empty when converged.
-        overlap: share of frame points with a map match closer than ``overlap_distance``.
-        rmse: root mean square of the matched point distances, metres.
-        iterations: linearisations spent.
-        points: [n, 3] float32 the frame's subsampled points, camera frame, metres.
-        quats: [n, 4] float32 rotation of each point's ellipse, camera frame, w first.
-        scales: [n, 3] float32 standard deviations of the ellipse, metres, not normalised.
-        spreads: [n, 3] float32 standard deviations of the point itself on the ellipse's axes, metres:
-            free along the surface, the sensor's noise across it. What trackable points keep.
-        distances2: [n] float32 squared distance to the nearest trackable Gaussian after
-            registration, m^2; inf where none is within reach.
-        pixels: [n, 2] int32 sensor pixel (u, v) each point came from.
+        points: what the frame was tracked with; None: without points.
         exposure: of the picture, where tracking looked at it; None: not estimated.
         depth: [h, w] float32 metres, of the picture, where tracking estimated it without a sensor.
+        overlap: share of the frame that the map explains: of its points, or of its pixels without points.
+        earlier_poses: index -> [4, 4] pose of earlier frames that became known only now.
+        reinitialise: the map is not what the camera sees: a new one is to begin with the next frame. Only
+            for trackers that look at the Gaussians.
     """
 
     T_wc: Float64
     verdict: Verdict
     reason: str = ""
-    overlap: float = 0.0
-    rmse: float = 0.0
-    iterations: int = 0
-    points: Float32 | None = None
-    quats: Float32 | None = None
-    scales: Float32 | None = None
-    spreads: Float32 | None = None
-    distances2: Float32 | None = None
-    pixels: NDArray[np.int32] | None = None
+    points: FramePoints | None = None
     exposure: Exposure | None = None
     depth: Float32 | None = None
+    overlap: float = 0.0
+    earlier_poses: dict[int, Float64] = field(default_factory=dict)
+    reinitialise: bool = False
 
 
 @dataclass(frozen=True)
@@ -183,7 +207,8 @@ class StepReport:
         index: the frame's index in the sequence.
         timestamp: seconds.
         T_wc: [4, 4] float64 the estimated (or predicted) pose.
-        verdict, reason, overlap, rmse: see :class:`TrackResult`.
+        verdict, reason, overlap: see :class:`TrackResult`.
+        rmse: see :class:`FramePoints`; 0 without points.
         keyframe: "", "tracking" or "mapping".
         tracking_ms, mapping_ms: wall time, milliseconds.
         mapping_iterations: iterations spent during this frame.

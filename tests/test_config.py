@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from ggwarp import config as c
 from ggwarp.geometry.camera import Camera
 from ggwarp.io.toml import write_toml
+from ggwarp.pipeline.tracking.tracker import TRACKERS
 
 PRESETS = ["gg-slam", "gs-icp", "fast", "quality"]
 
@@ -50,7 +51,7 @@ def test_every_preset_is_there():
 
 
 def test_keyframes_by_overlap_need_a_tracker_with_points():
-    for kind in typing.get_args(c.TrackerKind):
+    for kind in TRACKERS:
         wanted = "covisibility" if kind == "photometric" else "overlap"
         assert c.RunConfig(tracker=kind).slam().policy == wanted
     with pytest.raises(c.ConfigError, match="--policy overlap"):
@@ -61,7 +62,7 @@ def test_the_slam_part_is_composed():
     config = c.RunConfig(tracker="ground-truth")
     slam = config.slam()
     assert slam.tracker == "ground-truth"
-    for part in ("gicp", "photometric", "hybrid", "keyframes", "trackable", "mapper"):
+    for part in ("gicp", "refinement", "initialisation", "keyframes", "trackable", "mapper"):
         assert getattr(slam, part) is getattr(config, part)
 
 

@@ -24,12 +24,13 @@ from ggwarp.datasets import open_dataset
 from ggwarp.evaluation.trajectory import absolute_error
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
-from ggwarp.pipeline.tracking.gicp import GicpConfig, GicpTracker
+from ggwarp.pipeline.tracking.gicp import REACH, GicpConfig, GicpTracker
 from ggwarp.pipeline.tracking.keyframe_policy import KeyframeConfig, KeyframeKind, OverlapKeyframes
 from ggwarp.pipeline.tracking.point_map import TrackableConfig, TrackableMap
 from ggwarp.pipeline.tracking.preprocess import observe
+from ggwarp.pipeline.tracking.tracker import Tracker
 from ggwarp.runtime import launch, loading
-from ggwarp.types import Float64, Frame, MapSnapshot, TrackResult, Verdict
+from ggwarp.types import Float64, Frame, FramePoints, MapSnapshot, TrackResult, Verdict
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,8 @@ GS_ICP = PeerSettings((0.02,), False, 2e-3, 5e-4)
 class PeerTracker:
     """small_gicp behind our tracker's interface."""
 
+    needs_gaussians = False
+
     def __init__(self, settings: PeerSettings, config: GicpConfig, camera: Camera) -> None:
         self._settings = settings
         self._config = config
@@ -65,6 +68,9 @@ class PeerTracker:
 
     def track(self, frame: Frame, target: MapSnapshot) -> TrackResult:
         return self._result(frame, target, self._align)
+
+    def on_pose_corrected(self, T_wc: Float64) -> None:
+        """Nothing here corrects poses."""
 
     def _align(self, points: Any) -> Float64:
         s = self._settings
@@ -91,7 +97,7 @@ class PeerTracker:
     ) -> TrackResult:
         image = frame.depth if frame.sensor_depth is None else frame.sensor_depth
         assert image is not None
-        seen = observe(image, self._camera, self._config.observation, device="cpu")
+        seen = observe(image, self._camera, self._config, device="cpu")
         points = seen.cloud.points.numpy()
         # Our sampling stands in for the peer's own: its time is not counted.
         started = time.perf_counter()
@@ -105,19 +111,16 @@ class PeerTracker:
             found, d2 = self._tree.batch_nearest_neighbor_search(
                 se3.transform_points(T, points), launch.cpu_threads()
             )
-            reach = max(self._config.overlap_distance, self._config.reach * seen.spacing)
+            reach = max(self._config.overlap_distance, REACH * seen.spacing)
             distances2 = np.where((np.array(found) >= 0) & (np.array(d2) < reach**2), d2, np.inf)
         self.seconds = time.perf_counter() - started
-        return TrackResult(
-            T,
-            Verdict.CONVERGED,
-            overlap=float(np.isfinite(distances2).mean()),
+        observed = FramePoints(
             points=points,
             quats=seen.quats.numpy(),
-            scales=seen.scales.numpy(),
             spreads=seen.spreads.numpy(),
             distances2=distances2.astype(np.float32),
         )
+        return TrackResult(T, Verdict.CONVERGED, points=observed, overlap=observed.overlap)
 
 
 def _prepared(points: Any) -> tuple[Any, Any]:
@@ -127,7 +130,7 @@ def _prepared(points: Any) -> tuple[Any, Any]:
     return cloud, tree
 
 
-def run(tracker: Any, dataset: Any) -> tuple[float, float, int]:
+def run(tracker: Tracker, dataset: Any) -> tuple[float, float, int]:
     """Return ATE RMSE in cm, median ms a frame, and frames lost."""
     trackable = TrackableMap(TrackableConfig())
     policy = OverlapKeyframes(KeyframeConfig())
@@ -140,9 +143,9 @@ def run(tracker: Any, dataset: Any) -> tuple[float, float, int]:
         else:
             result = tracker.track(frame, trackable.snapshot())
         seconds = time.perf_counter() - started
-        times.append(getattr(tracker, "seconds", seconds))
+        times.append(tracker.seconds if isinstance(tracker, PeerTracker) else seconds)
         if policy.decide(result) is KeyframeKind.TRACKING:
-            trackable.add(result)
+            trackable.add(result.points, result.T_wc)
         lost += result.verdict is Verdict.LOST
         if frame.T_wc is not None:
             estimated.append(result.T_wc)

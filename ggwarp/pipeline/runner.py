@@ -20,13 +20,14 @@ from types import TracebackType
 from typing import Any, Generic, TypeVar
 
 from ggwarp.pipeline.scheduler import Waiting
-from ggwarp.pipeline.slam import Slam, Tracked
+from ggwarp.pipeline.slam import Slam
+from ggwarp.pipeline.tracked_frame import TrackedFrame
 from ggwarp.types import Frame, StepReport
 
 T = TypeVar("T")
 
 AHEAD = 3
-"""Tracked frames that may wait for the mapper."""
+"""TrackedFrame frames that may wait for the mapper."""
 
 
 class SideError(RuntimeError):
@@ -77,7 +78,9 @@ def run_steps(
         raise failure
 
 
-def _mapped(slam: Slam, tracked: Tracked, waiting: Waiting | None) -> tuple[StepReport, SideError | None]:
+def _mapped(
+    slam: Slam, tracked: TrackedFrame, waiting: Waiting | None
+) -> tuple[StepReport, SideError | None]:
     """The mapper's side: return the frame's report, and what went wrong."""
     try:
         return slam.map_frame(tracked, waiting), None
@@ -89,7 +92,7 @@ def _mapped(slam: Slam, tracked: Tracked, waiting: Waiting | None) -> tuple[Step
 
 def _tracked(
     slam: Slam, items: Iterable[Any], stopped: Callable[[], bool]
-) -> Iterator[tuple[Any, Tracked | None]]:
+) -> Iterator[tuple[Any, TrackedFrame | None]]:
     """The tracker's side: yield every item, frames with their pose."""
     last = None
     remaining = iter(items)

@@ -2,8 +2,8 @@
 """The SLAM system: track a frame, decide what it adds, add it, fit the map.
 
 It has two sides that share no state: the tracker's (:meth:`Slam.track_frame`: tracker, keyframe policy,
-trackable points) and the mapper's (:meth:`Slam.map_frame`: the Gaussians, the reports). A :class:`Tracked`
-frame goes from one to the other.
+trackable points) and the mapper's (:meth:`Slam.map_frame`: the Gaussians, the reports). A
+:class:`TrackedFrame` goes from one to the other.
 """
 
 from __future__ import annotations
@@ -27,10 +27,8 @@ from ggwarp.objects.linear_classifier import LinearClassifier
 from ggwarp.pipeline.mapping.build import build_mapper
 from ggwarp.pipeline.mapping.keyframe_window import WindowConfig
 from ggwarp.pipeline.mapping.mapper import MapperConfig
-from ggwarp.pipeline.scheduler import Arrival, Scheduler, SynchronousScheduler, Waiting
-from ggwarp.pipeline.tracking.gicp import GicpConfig
-from ggwarp.pipeline.tracking.hybrid import HybridConfig
-from ggwarp.pipeline.tracking.initialisation import InitialisationConfig
+from ggwarp.pipeline.scheduler import Scheduler, SynchronousScheduler, Waiting
+from ggwarp.pipeline.tracked_frame import TrackedFrame
 from ggwarp.pipeline.tracking.keyframe_policy import (
     CovisibilityConfig,
     CovisibilityKeyframes,
@@ -39,27 +37,20 @@ from ggwarp.pipeline.tracking.keyframe_policy import (
     KeyframePolicy,
     OverlapKeyframes,
 )
-from ggwarp.pipeline.tracking.monocular import MonocularTracker
-from ggwarp.pipeline.tracking.photometric import PhotometricConfig
 from ggwarp.pipeline.tracking.point_map import TrackableConfig, TrackableMap
-from ggwarp.pipeline.tracking.tracker import Tracker, TrackerKind, make_tracker
+from ggwarp.pipeline.tracking.tracker import TrackerContext, TrackingConfig, make_tracker
 from ggwarp.results.run_folder import write_system
 from ggwarp.runtime import loading
 from ggwarp.runtime.streams import NO_LOCK, stream_scopes
-from ggwarp.types import Float64, Frame, Rendered, StepReport, TrackResult, Verdict
+from ggwarp.types import Float64, Frame, Rendered, StepReport, TrackResult
 
 KeyframePolicyKind = Literal["overlap", "covisibility"]
 
 
 @dataclass(frozen=True)
-class SlamConfig:
+class SlamConfig(TrackingConfig):
     """The whole system: its parts' configurations and what joins them."""
 
-    tracker: TrackerKind = "gicp"
-    """How poses are found."""
-    gicp: GicpConfig = field(default_factory=GicpConfig)
-    photometric: PhotometricConfig = field(default_factory=PhotometricConfig)
-    hybrid: HybridConfig = field(default_factory=HybridConfig)
     keyframes: KeyframeConfig = field(default_factory=KeyframeConfig)
     trackable: TrackableConfig = field(default_factory=TrackableConfig)
     mapper: MapperConfig = field(default_factory=MapperConfig)
@@ -69,28 +60,10 @@ class SlamConfig:
     window: WindowConfig = field(default_factory=WindowConfig)
     monocular: bool = False
     """Frames have no depth."""
-    initialisation: InitialisationConfig = field(default_factory=InitialisationConfig)
     use_identity: bool = True
     """Learn which object each Gaussian belongs to (GG-SLAM); False is GS-ICP-SLAM."""
     tracked_masks: bool = True
     """The masks' ids mean the same object in every frame; else objects are found again by the map."""
-
-
-@dataclass(frozen=True)
-class Tracked:
-    """A frame as the tracker's side hands it to the mapper's; everything is on the host.
-
-    Attributes:
-        frame: as it came. arrival: when that was.
-        result: its pose. kind: what it adds to the map.
-        seconds: spent on the pose.
-    """
-
-    frame: Frame
-    arrival: Arrival
-    result: TrackResult
-    kind: KeyframeKind
-    seconds: float
 
 
 class Slam:
@@ -125,7 +98,8 @@ class Slam:
         self.device = device
         self.camera, self._sensor_camera = camera, sensor_camera
         self._scheduler = scheduler or SynchronousScheduler(config.mapper.iterations)
-        self._scopes = (NO_LOCK, NO_LOCK)
+        self._tracking_scope = self._mapping_scope = NO_LOCK
+        self._last: TrackResult | None = None
         self.reports: list[StepReport] = []
         self.counts = {"tracking_keyframes": 0, "mapping_keyframes": 0, "frames_lost": 0}
         self._build()
@@ -134,6 +108,7 @@ class Slam:
         """Make an empty map, and the parts that work on it."""
         config, device, camera = self.config, self.device, self.camera
         self._trackable = TrackableMap(config.trackable, device=device)
+        self._earlier_poses: dict[int, Float64] = {}
         self._mapper = build_mapper(
             config.mapper,
             camera,
@@ -143,38 +118,33 @@ class Slam:
             window=config.window if config.policy == "covisibility" else None,
             monocular=config.monocular,
         )
+        self.map = self._mapper.map
         self._policy: KeyframePolicy = OverlapKeyframes(config.keyframes)
         if self._mapper.covisibility is not None:
             self._policy = CovisibilityKeyframes(config.covisibility, self._mapper.covisibility.look)
-        self._tracker: Tracker = make_tracker(
-            config.tracker,
-            gicp=config.gicp,
-            photometric=config.photometric,
-            hybrid=config.hybrid,
-            initialisation=config.initialisation if config.monocular else None,
-            sensor_camera=self._sensor_camera,
-            renderer=Renderer(self._mapper.map, camera, identity=False),
-            device=device,
+        renderer = Renderer(self.map, camera, identity=False)
+        self._tracker = make_tracker(
+            TrackerContext(config, camera, self._sensor_camera, renderer, device, config.monocular)
         )
-        self.map = self._mapper.map
 
     def step(self, frame: Frame) -> StepReport:
         """Process the next frame: pose first, then the map."""
-        return self.map_frame(self.track_frame(frame))
+        tracked = self.track_frame(frame)
+        return self.map_frame(tracked)
 
-    def track_frame(self, frame: Frame) -> Tracked:
+    def track_frame(self, frame: Frame) -> TrackedFrame:
         """Find the next frame's pose and what it adds (the tracker's side)."""
         arrival = self._scheduler.wait_for_frame()
         started = time.perf_counter()
-        with self._scopes[0]:
+        with self._tracking_scope:
             result = self._track(frame)
         seconds = time.perf_counter() - started
         kind = self._policy.decide(result)
         if kind is KeyframeKind.TRACKING:
-            self._trackable.add(result)
-        return Tracked(frame, arrival, result, kind, seconds)
+            self._trackable.add(result.points, result.T_wc)
+        return TrackedFrame(frame, arrival, result, kind, seconds)
 
-    def map_frame(self, tracked: Tracked, waiting: Waiting | None = None) -> StepReport:
+    def map_frame(self, tracked: TrackedFrame, waiting: Waiting | None = None) -> StepReport:
         """Add what the frame adds and fit the map (the mapper's side).
 
         Args:
@@ -182,36 +152,15 @@ class Slam:
             waiting: where tracking runs concurrent: says whether the next frame waits already.
         """
         started = time.perf_counter()
-        scope = self._scopes[1]
-        if tracked.kind is not KeyframeKind.NONE:
-            with scope:
-                self._mapper.insert(_with_depth(tracked), tracked.result.T_wc, tracked.result.exposure)
-        if tracked.result.verdict is not Verdict.LOST:
-            with scope:
-                self._mapper.observe_frame(
-                    tracked.frame, tracked.result.T_wc, skip_objects=tracked.arrival.late
-                )
-        first = len(self.keyframe_indices) == 1 and tracked.kind is not KeyframeKind.NONE
-        bootstrap = self.config.mapper.bootstrap if first and self._mapper.ready else 0
-        for _ in range(bootstrap):
-            with scope:
-                self._mapper.iterate()
-        done = 0
-        while self._mapper.ready and self._scheduler.should_continue(done, waiting):
-            with scope:
-                self._mapper.iterate()
-            done += 1
-        with scope:
-            loss = self._mapper.synchronise()
-            if tracked.kind is not KeyframeKind.NONE and self._mapper.fits_poses:
-                T_wc = self._mapper.keyframe_pose(-1)
-                self._policy.on_pose_corrected(T_wc)
-                self._tracker.on_pose_corrected(T_wc)
-        return self._report(tracked, bootstrap + done, loss, time.perf_counter() - started)
+        self._insert(tracked)
+        iterations = self._bootstrap(tracked) + self._fit(waiting)
+        loss = self._synchronise(tracked)
+        seconds = time.perf_counter() - started
+        return self._report(tracked, seconds, iterations, loss)
 
-    def leave_unmapped(self, tracked: Tracked) -> StepReport:
+    def leave_unmapped(self, tracked: TrackedFrame) -> StepReport:
         """Report a frame that the map will never see: the run ends before its turn."""
-        return self._report(dataclasses.replace(tracked, kind=KeyframeKind.NONE), 0, math.nan, 0.0)
+        return self._report(dataclasses.replace(tracked, kind=KeyframeKind.NONE), 0.0, 0, math.nan)
 
     @contextlib.contextmanager
     def in_two_threads(self) -> Iterator[None]:
@@ -225,11 +174,11 @@ class Slam:
         # Two threads must not compile a kernel at once.
         loading.load(loading.imported_kernel_modules(self.device), self.device)
         with stream_scopes(self.device) as scopes:
-            self._scopes = scopes
+            self._tracking_scope, self._mapping_scope = scopes
             try:
                 yield
             finally:
-                self._scopes = (NO_LOCK, NO_LOCK)
+                self._tracking_scope = self._mapping_scope = NO_LOCK
 
     def skip_frame(self) -> None:
         """Let the time of a frame pass that cannot be used."""
@@ -252,11 +201,11 @@ class Slam:
     @property
     def sequential_only(self) -> bool:
         """Whether the tracker's side looks at the Gaussians, so that it cannot run beside the mapper."""
-        return any(getattr(part, "needs_gaussians", False) for part in (self._tracker, self._policy))
+        return self._tracker.needs_gaussians or self._policy.needs_gaussians
 
     def fitted_poses(self) -> dict[int, Float64]:
         """Return the pose T_wc [4, 4] of each reported frame; keyframes' as fitted with the map."""
-        return {r.index: r.T_wc for r in self.reports} | self._found_late() | self._mapper.keyframe_poses()
+        return {r.index: r.T_wc for r in self.reports} | self._earlier_poses | self._mapper.keyframe_poses()
 
     @property
     def keyframe_indices(self) -> list[int]:
@@ -284,46 +233,61 @@ class Slam:
         write_system(Path(folder), self, names or {})
 
     def _track(self, frame: Frame) -> TrackResult:
-        T_first = np.eye(4) if frame.T_wc is None else frame.T_wc
-        if isinstance(self._tracker, MonocularTracker) and self._tracker.init_failed:
+        if self._last is not None and self._last.reinitialise:
             self._build()
-            begun = self._tracker.start(frame, self.reports[-1].T_wc)
-            return dataclasses.replace(begun, reason="the start was bad: a new map begins")
-        if self._policy.empty:
-            return self._tracker.start(frame, T_first)
-        return self._tracker.track(frame, self._trackable.snapshot())
+            begun = self._tracker.start(frame, self._last.T_wc)
+            result = dataclasses.replace(begun, reason="the start was bad: a new map begins")
+        elif self._policy.empty:
+            result = self._tracker.start(frame, np.eye(4) if frame.T_wc is None else frame.T_wc)
+        else:
+            result = self._tracker.track(frame, self._trackable.snapshot())
+        self._earlier_poses |= result.earlier_poses
+        self._last = result
+        return result
 
-    def _found_late(self) -> dict[int, Float64]:
-        return self._tracker.poses if isinstance(self._tracker, MonocularTracker) else {}
+    def _insert(self, tracked: TrackedFrame) -> None:
+        """Give the mapper a keyframe, and any frame that is not lost for what it keeps of all."""
+        T_wc = tracked.result.T_wc
+        if tracked.is_keyframe:
+            with self._mapping_scope:
+                self._mapper.insert(tracked.with_depth(), T_wc, tracked.result.exposure)
+        if not tracked.is_lost:
+            with self._mapping_scope:
+                self._mapper.observe_frame(tracked.frame, T_wc, skip_objects=tracked.arrival.late)
 
-    def _report(self, tracked: Tracked, iterations: int, loss: float, mapping_s: float) -> StepReport:
-        frame, arrival, result, kind = tracked.frame, tracked.arrival, tracked.result, tracked.kind
-        self.counts["frames_lost"] += result.verdict is Verdict.LOST
-        if kind is not KeyframeKind.NONE:
-            self.counts[f"{kind.value}_keyframes"] += 1
-        report = StepReport(
-            index=frame.index,
-            timestamp=frame.timestamp,
-            T_wc=result.T_wc,
-            verdict=result.verdict,
-            reason=result.reason,
-            overlap=result.overlap,
-            rmse=result.rmse,
-            keyframe=kind.value,
-            tracking_ms=1e3 * tracked.seconds,
-            mapping_ms=1e3 * mapping_s,
-            mapping_iterations=iterations,
-            gaussians=self.map.count,
-            loss=loss,
-            latency_ms=1e3 * (arrival.delay + tracked.seconds),
-            late_ms=1e3 * arrival.delay if arrival.late else 0.0,
-            frames_behind=arrival.behind,
-        )
+    def _bootstrap(self, tracked: TrackedFrame) -> int:
+        """Fit the map to its first keyframe; return the iterations."""
+        if not tracked.is_keyframe or len(self.keyframe_indices) != 1 or not self._mapper.ready:
+            return 0
+        for _ in range(self.config.mapper.bootstrap):
+            with self._mapping_scope:
+                self._mapper.iterate()
+        return self.config.mapper.bootstrap
+
+    def _fit(self, waiting: Waiting | None) -> int:
+        """Fit the map as long as the schedule says; return the iterations."""
+        done = 0
+        while self._mapper.ready and self._scheduler.should_continue(done, waiting):
+            with self._mapping_scope:
+                self._mapper.iterate()
+            done += 1
+        return done
+
+    def _synchronise(self, tracked: TrackedFrame) -> float:
+        """Wait for the iterations and return their mean loss; hand on a keyframe's corrected pose."""
+        with self._mapping_scope:
+            loss = self._mapper.synchronise()
+            corrects = tracked.is_keyframe and self._mapper.fits_poses and self.sequential_only
+            T_wc = self._mapper.keyframe_pose(-1) if corrects else None
+        if T_wc is not None:
+            self._policy.on_pose_corrected(T_wc)
+            self._tracker.on_pose_corrected(T_wc)
+        return loss
+
+    def _report(self, tracked: TrackedFrame, seconds: float, iterations: int, loss: float) -> StepReport:
+        report = tracked.report(seconds=seconds, iterations=iterations, gaussians=self.map.count, loss=loss)
+        self.counts["frames_lost"] += tracked.is_lost
+        if tracked.is_keyframe:
+            self.counts[f"{tracked.kind.value}_keyframes"] += 1
         self.reports.append(report)
         return report
-
-
-def _with_depth(tracked: Tracked) -> Frame:
-    """Return the frame with the depth that tracking estimated, if it did."""
-    estimated = tracked.result.depth
-    return tracked.frame if estimated is None else dataclasses.replace(tracked.frame, depth=estimated)

@@ -18,31 +18,35 @@ from ggwarp.kernels.raster.project import intrinsics_of
 from ggwarp.runtime.streams import to_host
 from ggwarp.types import Float32, Float64
 
+INDEPENDENCE = 0.03
+"""Share of the pixels that count: the errors of neighbours are alike."""
 
-@dataclass(frozen=True)
-class AlignmentConfig:
-    """How pictures are compared, and how the pose that fits best is searched."""
+_LEVELS = 3
+"""Sizes of the pictures, each half of the one before."""
 
-    levels: int = 3
-    """Sizes of the pictures, each half of the one before."""
-    iterations: int = 6
-    """Steps at each size at most."""
-    tolerance: float = 1e-5
-    """A size is done when a step is smaller, metres and radians."""
-    colour_noise: float = 0.05
-    """Standard deviation of a colour, 0..1."""
-    depth_noise: float = 0.08
-    """Standard deviation of a rendered depth, metres: much, as its errors go together."""
-    robust_scale: float = 3.0
-    """Standard deviations at which Geman-McClure's kernel halves a residual's share of the cost."""
-    edge: float = 0.05
-    """Nothing is compared where the rendered depth jumps by more than this share within a pixel."""
-    min_opacity: float = 0.95
-    """Nothing is compared where the render is less opaque."""
-    independence: float = 0.03
-    """Share of the pixels that count: the errors of neighbours are alike."""
-    exposure_deviation: float = 0.3
-    """Expected deviation of the exposure's parameters from 0, one standard deviation."""
+_ITERATIONS = 6
+"""Steps at each size at most."""
+
+_TOLERANCE = 1e-5
+"""A size is done when a step is smaller, metres and radians."""
+
+_COLOUR_NOISE = 0.05
+"""Standard deviation of a colour, 0..1."""
+
+_DEPTH_NOISE = 0.08
+"""Standard deviation of a rendered depth, metres: much, as its errors go together."""
+
+_ROBUST_SCALE = 3.0
+"""Standard deviations at which Geman-McClure's kernel halves a residual's share of the cost."""
+
+_EDGE = 0.05
+"""Nothing is compared where the rendered depth jumps by more than this share within a pixel."""
+
+_MIN_OPACITY = 0.95
+"""Nothing is compared where the render is less opaque."""
+
+_EXPOSURE_DEVIATION = 0.3
+"""Expected deviation of the exposure's parameters from 0, one standard deviation."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +79,7 @@ class System:
 
     @property
     def mean_cost(self) -> float:
-        """Robust cost of a pixel, 0 to robust_scale^2; inf where none was compared."""
+        """Robust cost of a pixel, 0 to the robust scale squared; inf where none was compared."""
         return self.cost / self.pixels if self.pixels else float("inf")
 
 
@@ -116,11 +120,10 @@ class Aligner:
         cameras: of each size, finest first.
     """
 
-    def __init__(self, config: AlignmentConfig, camera: Camera, *, device: Any) -> None:
-        self._config = config
+    def __init__(self, camera: Camera, *, device: Any) -> None:
         self._device = wp.get_device(device)
         self.cameras = [camera]
-        for _ in range(config.levels - 1):
+        for _ in range(_LEVELS - 1):
             self.cameras.append(halved(self.cameras[-1]))
         sizes = [(c.height, c.width) for c in self.cameras]
         row: Any = wp.vec4
@@ -138,7 +141,7 @@ class Aligner:
         byte: Any = wp.uint8
         colour = wp.array(rgb, dtype=byte, device=self._device)
         readings = None if depth is None else wp.array(depth, dtype=float, device=self._device)
-        self._depth_noise = 0.0 if depth is None else self._config.depth_noise
+        self._depth_noise = 0.0 if depth is None else _DEPTH_NOISE
         image_pyramid.pack_picture(colour, readings, view=self._observed[0], device=self._device)
         self._shrink(self._observed)
 
@@ -151,7 +154,7 @@ class Aligner:
         image_pyramid.pack_render(
             image,
             transmittance,
-            min_opacity=self._config.min_opacity,
+            min_opacity=_MIN_OPACITY,
             view=self._rendered[0],
             device=self._device,
         )
@@ -174,17 +177,16 @@ class Aligner:
             fit_exposure: search (a, b), too.
             prior: weighed against the pixels' information.
         """
-        config = self._config
         T, (a, b) = np.array(T_cw, np.float64), exposure
         system, converged, iterations = None, False, 0
-        for level in reversed(range(config.levels)):
-            for _ in range(config.iterations):
+        for level in reversed(range(_LEVELS)):
+            for _ in range(_ITERATIONS):
                 system = self.linearise(level, T, (a, b))
                 step = self._step(system, level, T, (a, b), fit_exposure, prior)
                 T = se3.se3_exp(step[:6]) @ T
                 a, b = a + float(step[6]), b + float(step[7])
                 iterations += 1
-                converged = bool(max(np.linalg.norm(step[:3]), np.linalg.norm(step[3:6])) < config.tolerance)
+                converged = bool(max(np.linalg.norm(step[:3]), np.linalg.norm(step[3:6])) < _TOLERANCE)
                 if converged:
                     break
         assert system is not None
@@ -197,14 +199,13 @@ class Aligner:
         exposure: tuple[float, float],
     ) -> System:
         """Return the normal equations at ``T_cw`` [4, 4] for pictures of size ``level`` (0: the finest)."""
-        c = self._config
         alignment.linearise(
             self._rendered[level],
             self._observed[level],
             intrinsics_of(self.cameras[level]),
             motion=_matrix(T_cw @ se3.inverse(self._T_rw)),
             exposure=exposure,
-            noise=(c.colour_noise, c.robust_scale, c.edge, self._depth_noise),
+            noise=(_COLOUR_NOISE, _ROBUST_SCALE, _EDGE, self._depth_noise),
             sums=self._sums,
             system=self._system,
             device=self._device,
@@ -230,12 +231,12 @@ class Aligner:
     ) -> Float64:
         """Return the Gauss-Newton step (tau, a, b) [8]; zeros where nothing fixes the pose."""
         # A coarse pixel stands for the fine ones under it.
-        share = self._config.independence * 4.0**level
+        share = INDEPENDENCE * 4.0**level
         H, gradient = share * system.H, share * system.gradient
         if prior is not None:
             H[:6, :6] += prior.information
             gradient[:6] += prior.information @ se3.se3_log(T_cw @ se3.inverse(prior.T_cw))
-        precision = 1.0 / self._config.exposure_deviation**2
+        precision = 1.0 / _EXPOSURE_DEVIATION**2
         H[[6, 7], [6, 7]] += precision
         gradient[6:] += precision * np.array(exposure)
         used = 8 if fit_exposure else 6
@@ -250,7 +251,7 @@ class Aligner:
 
     def _shrink(self, levels: list[Any]) -> None:
         for fine, coarse in itertools.pairwise(levels):
-            image_pyramid.halve(fine, edge=self._config.edge, coarse=coarse, device=self._device)
+            image_pyramid.halve(fine, edge=_EDGE, coarse=coarse, device=self._device)
 
 
 def _matrix(T: Float64) -> wp.mat44:

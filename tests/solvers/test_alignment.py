@@ -7,7 +7,7 @@ import warp as wp
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
-from ggwarp.solvers.alignment import Aligner, AlignmentConfig, Prior, halved
+from ggwarp.solvers.alignment import Aligner, Prior, halved
 
 CAMERA = Camera(120, 91, 110.0, 110.0, 59.5, 45.0)
 
@@ -32,7 +32,7 @@ def aligner(T_rw: np.ndarray, picture: np.ndarray, device: str) -> Aligner:
     image = np.zeros((4, *shape), np.float32)
     image[:3, : CAMERA.height, : CAMERA.width] = colour.transpose(2, 0, 1)
     image[3, : CAMERA.height, : CAMERA.width] = depth
-    made = Aligner(AlignmentConfig(), CAMERA, device=device)
+    made = Aligner(CAMERA, device=device)
     made.take_picture(np.clip(255.0 * picture + 0.5, 0, 255).astype(np.uint8))
     transmittance = wp.zeros(shape, dtype=wp.float32, device=device)
     made.take_render(wp.array(image, device=device), transmittance, T_rw)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from ggwarp.pipeline.tracking.motion_model import MotionModel, depth_time, position_std
 from ggwarp.pipeline.tracking.preprocess import Observation, ObservationConfig, observe
-from ggwarp.pipeline.tracking.relocalisation import Relocaliser, RelocaliserConfig, ViewConsistency
+from ggwarp.pipeline.tracking.relocalisation import Relocaliser, ViewConsistency
 from ggwarp.runtime.streams import to_host
 from ggwarp.solvers.registration import (
     Registrar,
@@ -22,50 +22,55 @@ from ggwarp.solvers.registration import (
     build_target,
     match_distances2,
 )
-from ggwarp.types import Float32, Float64, Frame, MapSnapshot, TrackResult, Verdict
+from ggwarp.types import Float32, Float64, Frame, FramePoints, MapSnapshot, TrackResult, Verdict, overlap_of
+
+REACH = 1.5
+"""No search for a match ends below so many spacings of points: sparse points always leave a gap."""
+
+MAX_POSITION_STD = 0.01
+"""A frame whose position is uncertain by more along some direction is poor, or lost if its overlap is poor
+too, metres; thrice that where earlier views agree with it."""
+
+_RADII = (0.3, 0.1, 0.03)
+"""Farthest match of each stage, coarse to fine, metres; at least ``REACH`` spacings of points."""
+
+_ITERATIONS = (6, 6, 15)
+"""Linearisations of each stage at most."""
+
+_COARSE_THINNING = 4
+"""All stages but the last use every fourth point."""
+
+_COARSE_TOLERANCE, _TOLERANCE = 1e-3, 1e-4
+"""A coarse stage, and the last one, ends when a step is smaller, metres and radians."""
+
+_ROBUST_SCALE = 3.0
+"""Standard deviations at which Geman-McClure's kernel halves a residual's share of the cost in the last
+stage; wider in coarse stages, in the ratio of their radii."""
+
+_SURE_OVERLAP = 0.6
+"""Below this share, or after a jump, registration is tried from other poses, too, and the best pose that
+remembered views agree with is taken; without such a pose the frame is lost."""
+
+_CLEAR_OVERLAP = 0.9
+"""That search ends where such a pose has this share."""
 
 
 @dataclass(frozen=True)
-class GicpConfig:
+class GicpConfig(ObservationConfig):
     """How a frame is registered, and when its pose is accepted."""
 
-    observation: ObservationConfig = field(default_factory=ObservationConfig)
-    radii: tuple[float, ...] = (0.3, 0.1, 0.03)
-    """Farthest match of each stage, coarse to fine, metres; at least ``reach`` spacings of points."""
-    reach: float = 1.5
-    """No search ends below so many spacings: between sparse points there is always a gap."""
-    iterations: tuple[int, ...] = (6, 6, 15)
-    """Linearisations of each stage at most."""
-    coarse_thinning: int = 4
-    """All stages but the last use every so-manyth point."""
-    coarse_tolerance: float = 1e-3
-    """A coarse stage ends when a step is smaller, metres and radians."""
-    tolerance: float = 1e-4
-    """The last stage ends when a step is smaller, metres and radians."""
-    robust_scale: float = 3.0
-    """Standard deviations at which Geman-McClure's kernel halves a residual's share of the cost in the
-    last stage; wider in coarse stages, in the ratio of their radii."""
     overlap_distance: float = 0.0316
-    """A point within this distance of the map is matched, metres; at least ``reach`` spacings."""
+    """A point within this distance of the map is matched, metres; at least 1.5 spacings of points."""
     min_points: int = 200
     """A frame with fewer points is lost."""
     lost_overlap: float = 0.2
     """A frame with a smaller share of matched points is lost."""
     poor_overlap: float = 0.4
     """A frame with a smaller share of matched points is poor."""
-    sure_overlap: float = 0.6
-    """Below this share, or after a jump, registration is tried from other poses, too, and the best pose that
-    remembered views agree with is taken; without such a pose the frame is lost."""
-    clear_overlap: float = 0.9
-    """That search ends where such a pose has this share."""
-    recall: RelocaliserConfig = field(default_factory=RelocaliserConfig)
-    max_position_std: float = 0.01
-    """A frame whose position is uncertain by more along some direction is poor, or lost if its overlap is
-    poor too, metres; thrice that where earlier views agree with it."""
     max_jump: float = 0.5
     """A frame farther from its prediction is a jump, and poor at best, metres."""
     max_turn: float = 0.6
-    """Likewise a frame turned farther, radians."""
+    """A frame turned farther from its prediction is a jump, and poor at best, radians."""
 
 
 class GicpTracker:
@@ -75,8 +80,11 @@ class GicpTracker:
     looks at colour only to find and check the pose of a frame that registers badly.
 
     Attributes:
+        needs_gaussians: no: trackable points are enough.
         registration: of the last frame, whether it was accepted or not; None where there was none.
     """
+
+    needs_gaussians = False
 
     def __init__(self, config: GicpConfig, sensor_camera: Camera, *, device: Any = "cpu") -> None:
         """Make a tracker of frames whose sensor depth was taken by ``sensor_camera``."""
@@ -84,7 +92,7 @@ class GicpTracker:
         self._camera = sensor_camera
         self._device = device
         self._registrar = Registrar(device=device)
-        self._relocaliser = Relocaliser(config.recall, sensor_camera)
+        self._relocaliser = Relocaliser(sensor_camera)
         self._target: RegistrationTarget | None = None
         self._target_version: int | None = None
         self._motion: MotionModel | None = None
@@ -99,9 +107,9 @@ class GicpTracker:
         seen = self._observe(frame)
         self._motion = MotionModel.at_rest(T_wc, depth_time(frame))
         if seen.count < self._config.min_points:
-            return _result(self._motion.T_wc, np.eye(4), Verdict.LOST, seen, self._too_few(seen))
+            return _result(self._motion.T_wc, np.eye(4), seen, None, Verdict.LOST, self._too_few(seen))
         self._relocaliser.remember(frame, self._motion.T_wc)
-        return _result(self._motion.T_wc, np.eye(4), Verdict.CONVERGED, seen)
+        return _result(self._motion.T_wc, np.eye(4), seen, None)
 
     def track(self, frame: Frame, target: MapSnapshot) -> TrackResult:
         """Return the pose of the next frame.
@@ -115,17 +123,16 @@ class GicpTracker:
         self._before, self.registration = self._motion, None
         predicted = self._motion.predict(depth_time(frame))
         if seen.count < self._config.min_points:
-            return self._lose(frame, predicted, self._too_few(seen), seen)
+            return self._lose(frame, predicted, seen, None, self._too_few(seen))
         self._aim(target, seen.spacing)
-        assert self._target is not None
         found = self._search(frame, seen, predicted)
-        self.registration, fit, distances2 = found.fit, found.fit, found.distances2
+        self.registration, T_wd = found.fit, found.fit.T_wc
         verdict, reason = self._judge(found, predicted)
         if verdict is Verdict.LOST:
-            return self._lose(frame, predicted, reason, seen, fit, distances2)
-        self._motion = self._motion.updated(fit.T_wc, depth_time(frame))
-        self._relocaliser.remember(frame, fit.T_wc)
-        return _result(fit.T_wc, self._motion.to_colour(frame), verdict, seen, reason, fit, distances2)
+            return self._lose(frame, predicted, seen, found.distances2, reason)
+        self._motion = self._motion.updated(T_wd, depth_time(frame))
+        self._relocaliser.remember(frame, T_wd)
+        return _result(T_wd, self._motion.to_colour(frame), seen, found.distances2, verdict, reason)
 
     def _too_few(self, seen: Observation) -> str:
         return f"{seen.count} depth points, {self._config.min_points} needed"
@@ -135,7 +142,7 @@ class GicpTracker:
         seen = self._observe(frame)
         self._aim(target, seen.spacing)
         self._motion = MotionModel.at_rest(T_wc, depth_time(frame))
-        return _result(T_wc, np.eye(4), Verdict.CONVERGED, seen, distances2=self._distances2(seen, T_wc))
+        return _result(T_wc, np.eye(4), seen, self._distances2(seen, T_wc))
 
     def correct(self, frame: Frame, T_wc: Float64) -> None:
         """Take ``T_wc`` [4, 4] as the pose of the last frame's colour: somebody knows better."""
@@ -155,68 +162,52 @@ class GicpTracker:
         image = frame.depth if frame.sensor_depth is None else frame.sensor_depth
         if image is None:
             raise ValueError(f"frame {frame.index} has no depth: GICP tracking needs it")
-        return observe(image, self._camera, self._config.observation, device=self._device)
+        return observe(image, self._camera, self._config, device=self._device)
 
     def _aim(self, target: MapSnapshot, spacing: float) -> None:
         """Prepare the map for registration, unless it is the one already prepared."""
         if target.version != self._target_version:
             # Points without a match look through every cell in reach: a bound keeps these few.
-            cell = max(2.5 * spacing, self._config.radii[0] / 8.0)
+            cell = max(2.5 * spacing, _RADII[0] / 8.0)
             self._target = build_target(
                 target.means, target.quats, target.scales, cell_size=cell, device=self._device
             )
             self._target_version = target.version
 
-    def _stages(self, spacing: float) -> list[RegistrationStage]:
-        c = self._config
-        *coarse, fine = [max(radius, c.reach * spacing) for radius in c.radii]
-        *coarse_iterations, fine_iterations = c.iterations
-        stages = [
-            RegistrationStage(
-                radius, n, c.coarse_tolerance, c.robust_scale * radius / fine, c.coarse_thinning
-            )
-            for radius, n in zip(coarse, coarse_iterations, strict=True)
-        ]
-        return [*stages, RegistrationStage(fine, fine_iterations, c.tolerance, c.robust_scale)]
-
     def _search(self, frame: Frame, seen: Observation, predicted: Float64) -> _RegisteredPose:
         """Register from the prediction; where that fits badly, from wherever the camera may have been."""
         assert self._motion is not None
         first = self._fit(seen, predicted)
-        if first.overlap >= self._config.sure_overlap and not self._jump(first.fit, predicted):
+        if first.overlap >= _SURE_OVERLAP and not self._jump(first, predicted):
             return first
         best = self._verified(frame, first)
-        if best.consistent and best.overlap >= self._config.clear_overlap:
+        if best.certain:
             return best
         for T_start in self._relocaliser.candidate_poses(frame, [self._motion.T_wc, predicted]):
             found = self._verified(frame, self._fit(seen, T_start))
             if found.rank > best.rank:
                 best = found
-            if best.consistent and best.overlap >= self._config.clear_overlap:
+            if best.certain:
                 break
         return best
 
     def _verified(self, frame: Frame, found: _RegisteredPose) -> _RegisteredPose:
-        consistency = self._relocaliser.verify(frame, found.fit.T_wc)
-        return replace(
-            found, consistency=consistency, consistent=self._relocaliser.is_consistent(consistency)
-        )
+        return replace(found, consistency=self._relocaliser.verify(frame, found.fit.T_wc))
 
     def _fit(self, seen: Observation, T_start: Float64) -> _RegisteredPose:
         assert self._target is not None
-        fit = self._registrar.register(seen.cloud, self._target, T_start, self._stages(seen.spacing))
-        distances2 = self._distances2(seen, fit.T_wc)
-        return _RegisteredPose(fit, distances2, _overlap(distances2))
+        fit = self._registrar.register(seen.cloud, self._target, T_start, _stages(seen.spacing))
+        return _RegisteredPose(fit, self._distances2(seen, fit.T_wc))
 
     def _distances2(self, seen: Observation, T_wc: Float64) -> Float32:
         """Return [n] squared distance of each point to the map, m^2; inf where nothing is near."""
         assert self._target is not None
-        reach = max(self._config.overlap_distance, self._config.reach * seen.spacing)
+        reach = max(self._config.overlap_distance, REACH * seen.spacing)
         return match_distances2(seen.cloud, self._target, T_wc, radius=reach, device=self._device)
 
     def _judge(self, found: _RegisteredPose, predicted: Float64) -> tuple[Verdict, str]:
         config, fit, overlap = self._config, found.fit, found.overlap
-        std, jump_reason = position_std(fit.information), self._jump(fit, predicted)
+        std, jump_reason = position_std(fit.information), self._jump(found, predicted)
         overlap_reason = f"overlap {overlap:.2f} with the map"
         std_reason = f"position free to slide by {std:.3f} m"
         if overlap < config.lost_overlap:
@@ -226,38 +217,25 @@ class GicpTracker:
         if found.consistency is not None and not found.consistent:
             return Verdict.LOST, f"{overlap_reason}, {found.consistency} with earlier views"
         # One weakness alone can be the scene's; two together are a wrong pose.
-        uncertain = std > config.max_position_std * (3.0 if found.consistent else 1.0)
+        uncertain = std > MAX_POSITION_STD * (3.0 if found.consistent else 1.0)
         if uncertain and overlap < config.poor_overlap:
             return Verdict.LOST, f"{std_reason}, {overlap_reason}"
-        if std > config.max_position_std:
+        if std > MAX_POSITION_STD:
             return Verdict.POOR, std_reason
         if overlap < config.poor_overlap:
             return Verdict.POOR, overlap_reason
         return (Verdict.POOR, jump_reason) if jump_reason else (Verdict.CONVERGED, "")
 
-    def _jump(self, fit: Registration, predicted: Float64) -> str:
-        """Say how far the pose is from the predicted one, where that is farther than is likely."""
+    def _jump(self, found: _RegisteredPose, predicted: Float64) -> str:
         assert self._motion is not None
-        allowed = 1 + self._motion.lost
-        jump = se3.se3_log(se3.inverse(predicted) @ fit.T_wc)
-        distance, turn = float(np.linalg.norm(jump[:3])), float(np.linalg.norm(jump[3:]))
-        if distance <= allowed * self._config.max_jump and turn <= allowed * self._config.max_turn:
-            return ""
-        return f"jump of {distance:.2f} m, {np.degrees(turn):.0f} degrees"
+        return self._motion.jump(found.fit.T_wc, predicted, self._config.max_jump, self._config.max_turn)
 
     def _lose(
-        self,
-        frame: Frame,
-        predicted: Float64,
-        reason: str,
-        seen: Observation,
-        fit: Registration | None = None,
-        distances2: Float32 | None = None,
+        self, frame: Frame, predicted: Float64, seen: Observation, distances2: Float32 | None, reason: str
     ) -> TrackResult:
         assert self._motion is not None
         self._motion.lost += 1
-        shift = self._motion.to_colour(frame)
-        return _result(predicted, shift, Verdict.LOST, seen, reason, fit, distances2)
+        return _result(predicted, self._motion.to_colour(frame), seen, distances2, Verdict.LOST, reason)
 
 
 @dataclass(frozen=True)
@@ -266,9 +244,21 @@ class _RegisteredPose:
 
     fit: Registration
     distances2: Float32
-    overlap: float
     consistency: ViewConsistency | None = None
-    consistent: bool = False
+
+    @property
+    def overlap(self) -> float:
+        return overlap_of(self.distances2)
+
+    @property
+    def consistent(self) -> bool:
+        """Whether it was compared with remembered views, and they agree."""
+        return self.consistency is not None and self.consistency.is_consistent
+
+    @property
+    def certain(self) -> bool:
+        """Whether there is no need to look for a better one."""
+        return self.consistent and self.overlap >= _CLEAR_OVERLAP
 
     @property
     def rank(self) -> tuple[bool, float]:
@@ -276,35 +266,35 @@ class _RegisteredPose:
         return self.consistent, self.overlap * (1.0 if self.consistency is None else self.consistency.score)
 
 
-def _overlap(distances2: Float32) -> float:
-    return float(np.isfinite(distances2).mean()) if len(distances2) else 0.0
+def _stages(spacing: float) -> list[RegistrationStage]:
+    *coarse, fine = [max(radius, REACH * spacing) for radius in _RADII]
+    *coarse_iterations, fine_iterations = _ITERATIONS
+    stages = [
+        RegistrationStage(radius, n, _COARSE_TOLERANCE, _ROBUST_SCALE * radius / fine, _COARSE_THINNING)
+        for radius, n in zip(coarse, coarse_iterations, strict=True)
+    ]
+    return [*stages, RegistrationStage(fine, fine_iterations, _TOLERANCE, _ROBUST_SCALE)]
 
 
 def _result(
     T_wd: Float64,
     T_dc: Float64,
-    verdict: Verdict,
     seen: Observation,
+    distances2: Float32 | None,
+    verdict: Verdict = Verdict.CONVERGED,
     reason: str = "",
-    fit: Registration | None = None,
-    distances2: Float32 | None = None,
 ) -> TrackResult:
-    """Report the pose and the points as of the colour image; ``T_wd`` is the pose when depth was taken."""
-    if distances2 is None:
-        distances2 = np.full(seen.count, np.inf, np.float32)
-    matched = distances2[np.isfinite(distances2)]
+    """Report the pose and the points as of the colour image.
+
+    Args:
+        T_wd: [4, 4] the pose when depth was taken. T_dc: [4, 4] the motion from then to the colour.
+        distances2: [n] of the points to the map, m^2; None: they were not compared.
+    """
     T_cd = se3.inverse(T_dc)
-    return TrackResult(
-        T_wc=T_wd @ T_dc,
-        verdict=verdict,
-        reason=reason,
-        overlap=_overlap(distances2),
-        rmse=float(np.sqrt(matched.mean(dtype=np.float64))) if len(matched) else 0.0,
-        iterations=fit.iterations if fit else 0,
+    points = FramePoints(
         points=se3.transform_points(T_cd, to_host(seen.cloud.points)).astype(np.float32),
         quats=se3.rotate_quats(T_cd[:3, :3], to_host(seen.quats)).astype(np.float32),
-        scales=to_host(seen.scales),
         spreads=to_host(seen.spreads),
-        distances2=distances2,
-        pixels=to_host(seen.pixels),
+        distances2=np.full(seen.count, np.inf, np.float32) if distances2 is None else distances2,
     )
+    return TrackResult(T_wd @ T_dc, verdict, reason, points, overlap=points.overlap)

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -12,31 +11,33 @@ import numpy as np
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from ggwarp.map.renderer import Renderer
-from ggwarp.pipeline.tracking.gicp import GicpConfig, GicpTracker
+from ggwarp.pipeline.tracking.gicp import MAX_POSITION_STD, GicpConfig, GicpTracker
 from ggwarp.pipeline.tracking.motion_model import depth_time, position_std
 from ggwarp.pipeline.tracking.pose_refinement import RefinementConfig, Refiner
+from ggwarp.pipeline.tracking.preprocess import SLIP
 from ggwarp.solvers.alignment import Prior
 from ggwarp.types import Float32, Float64, Frame, MapSnapshot, TrackResult, Verdict
 
 _BASELINE = 4
 """Pixels between the readings that are compared: depth is quantised, and neighbours share their error."""
 _ROWS = 8
-"""Every so-manyth row of a depth image is looked at."""
+"""Every eighth row of a depth image is looked at."""
 
 
-@dataclass(frozen=True)
-class HybridConfig:
-    """When colour is asked, and how much geometry still counts then."""
+_RENDERS = 2
+"""Renders of an alignment at most."""
 
-    refinement: RefinementConfig = field(default_factory=RefinementConfig)
-    correlation: float = 0.3
-    """How much larger the pose's deviation is than the 6x6 system says at the depth's own noise."""
-    velocity_deviation: float = 0.1
-    """Deviation of the velocity, metres and half radians a second: depth and colour are not taken at once."""
-    max_position_std: float = 2e-4
-    """Colour is asked where the position is more uncertain along some direction, metres."""
-    min_noise: float = 0.05
-    """Least noise that is assumed, as a share of the tracker's noise model."""
+_CORRELATION = 0.3
+"""How much larger the pose's deviation is than the 6x6 system says at the depth's own noise."""
+
+_VELOCITY_DEVIATION = 0.1
+"""Deviation of the velocity, metres and half radians a second: depth and colour are not taken at once."""
+
+_MAX_POSITION_STD = 2e-4
+"""Colour is asked where the position is more uncertain along some direction, metres."""
+
+_MIN_NOISE = 0.05
+"""Least noise that is assumed, as a share of the tracker's noise model."""
 
 
 class HybridTracker:
@@ -50,18 +51,17 @@ class HybridTracker:
 
     def __init__(
         self,
-        config: HybridConfig,
         gicp: GicpConfig,
+        refinement: RefinementConfig,
         sensor_camera: Camera,
         renderer: Renderer,
         *,
         device: Any = "cpu",
     ) -> None:
         """Make a tracker of frames with colour by ``renderer``'s camera and depth by ``sensor_camera``."""
-        self._config = config
-        self._observation, self._gicp_max_std = gicp.observation, gicp.max_position_std
+        self._noise = gicp.noise_floor, gicp.noise_growth
         self._gicp = GicpTracker(gicp, sensor_camera, device=device)
-        self._refiner = Refiner(config.refinement, renderer, device=device)
+        self._refiner = Refiner(refinement, renderer, renders=_RENDERS, device=device)
 
     def start(self, frame: Frame, T_wc: Float64) -> TrackResult:
         """Take the first frame, whose pose [4, 4] is given."""
@@ -75,7 +75,7 @@ class HybridTracker:
         """
         result = self._gicp.track(frame, target)
         prior = self._prior(frame, result)
-        sure = prior is not None and position_std(prior.information) <= self._config.max_position_std
+        sure = prior is not None and position_std(prior.information) <= _MAX_POSITION_STD
         if sure and result.verdict is not Verdict.LOST:
             return result
         # A lost frame's registration may have std anywhere that geometry allows.
@@ -92,7 +92,6 @@ class HybridTracker:
             T_wc=found.T_wc,
             verdict=Verdict.POOR if lost else result.verdict,
             reason=f"by colour alone: {result.reason}" if lost else result.reason,
-            iterations=result.iterations + found.iterations,
             exposure=found.as_exposure(),
         )
 
@@ -102,7 +101,7 @@ class HybridTracker:
     def _weak(self) -> bool:
         """Whether geometry alone leaves the position uncertain."""
         fit = self._gicp.registration
-        return fit is None or position_std(fit.information) > self._gicp_max_std
+        return fit is None or position_std(fit.information) > MAX_POSITION_STD
 
     def _prior(self, frame: Frame, result: TrackResult) -> Prior | None:
         """Return what the last registration says of the colour's pose; None where there was none."""
@@ -111,13 +110,12 @@ class HybridTracker:
             return None
         image = frame.depth if frame.sensor_depth is None else frame.sensor_depth
         assert image is not None, "it was registered"
-        o = self._observation
-        noise = max(relative_noise(image, o.noise_floor, o.noise_growth), self._config.min_noise)
+        noise = max(relative_noise(image, *self._noise), _MIN_NOISE)
         assert result.points is not None, "they were registered"
-        information = without_slip(fit.information, result.points, o.slip)
-        information /= (noise * self._config.correlation) ** 2
+        information = without_slip(fit.information, result.points.points, SLIP)
+        information /= (noise * _CORRELATION) ** 2
         gap = abs(frame.timestamp - depth_time(frame))
-        information = loosened(information, self._config.velocity_deviation * gap)
+        information = loosened(information, _VELOCITY_DEVIATION * gap)
         return Prior(se3.inverse(fit.T_wc @ self._gicp.to_colour(frame)), information)
 
 
@@ -127,13 +125,14 @@ def _with_points_kept(result: TrackResult, T_wc: Float64) -> TrackResult:
     Points are registered to points: depth agrees with depth, whatever colour makes of the camera's pose. On
     TUM fr1/xyz the trajectory's error is 0.6 cm so, and 0.9 cm with points that follow the colour's pose.
     """
-    assert result.points is not None and result.quats is not None
+    assert result.points is not None
     T = se3.inverse(T_wc) @ result.T_wc
-    return dataclasses.replace(
-        result,
-        points=se3.transform_points(T, result.points).astype(np.float32),
-        quats=se3.rotate_quats(T[:3, :3], result.quats).astype(np.float32),
+    points = dataclasses.replace(
+        result.points,
+        points=se3.transform_points(T, result.points.points).astype(np.float32),
+        quats=se3.rotate_quats(T[:3, :3], result.points.quats).astype(np.float32),
     )
+    return dataclasses.replace(result, points=points)
 
 
 def without_slip(information: Float64, points: Float32, slip: float) -> Float64:

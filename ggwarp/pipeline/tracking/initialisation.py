@@ -20,25 +20,30 @@ from ggwarp.geometry.two_views import (
 )
 from ggwarp.types import Float32, Float64, Frame
 
+TRIAL = 10
+"""Frames after a start that show whether it was good: when two of them are lost, it starts over."""
+
+_KNOWN = 0.4
+"""The map begins when the depth of this share of the first picture can be told."""
+
+_DEPTH_TOLERANCE = 0.1
+"""Told means: to this share of it."""
+
+_AGREEING = 0.8
+"""Share of the matches that must fit one motion; else the start is bad."""
+
+_MATCHED = 0.35
+"""Share of the first picture that must be in view; else the wait was in vain, and starts over."""
+
 
 @dataclass(frozen=True)
 class InitialisationConfig:
     """When a monocular map begins, and at which scale."""
 
     median_depth: float = 2.0
-    """Of the first picture, metres: sets the scale, which one camera cannot know."""
-    known: float = 0.4
-    """The map begins when the depth of this share of the first picture can be told."""
-    tolerance: float = 0.1
-    """Told means: to this share of it."""
-    agreeing: float = 0.8
-    """Share of the matches that must fit one motion; else the start is bad."""
-    matched: float = 0.35
-    """Share of the first picture that must be in view; else the wait was in vain, and starts over."""
-    trial: int = 10
-    """Frames after a start that show whether it was good: when two of them are lost, it starts over."""
+    """Median depth of the first picture, metres: it sets the scale, which one camera cannot know."""
     patience: int = 30
-    """Frames after which a start without parallax starts over with the newest picture."""
+    """A start without parallax is given up for the newest picture after so many frames."""
 
 
 @dataclass(frozen=True)
@@ -84,10 +89,10 @@ class MonocularInitialiser:
             return None
         first = self._frames[0]
         matches = self._matcher.match(grey(first.rgb), grey(frame.rgb))
-        if matches.share < self._config.matched:
+        if matches.share < _MATCHED:
             return self._over("the first picture was out of view before its depth was known")
         motion = relative_pose(matches, self._camera)
-        if motion is None or motion[1] < self._config.agreeing:
+        if motion is None or motion[1] < _AGREEING:
             return self._wait("the pictures do not fit one motion")
         begun = self._judged(matches, motion[0], T_first)
         return begun if begun is not None else self._wait("too little parallax yet")
@@ -105,19 +110,19 @@ class MonocularInitialiser:
 
     def _judged(self, matches: Matches, T_other: Float64, T_first: Float64) -> Initialisation | None:
         """Return the start that this motion [4, 4] to the newest picture makes; None: too uncertain."""
-        c, newest = self._config, self._frames[-1]
+        newest = self._frames[-1]
         seen = triangulate(matches, T_other, self._camera)
-        known = seen.known(c.tolerance)
-        if known.mean() < c.known:
+        known = seen.known(_DEPTH_TOLERANCE)
+        if known.mean() < _KNOWN:
             return None
         T_other = T_other.copy()
-        T_other[:3, 3] *= c.median_depth / np.median(seen.depth()[known])
+        T_other[:3, 3] *= self._config.median_depth / np.median(seen.depth()[known])
         seen = triangulate(matches, T_other, self._camera)
-        depth = np.where(seen.known(c.tolerance), seen.depth(), np.float32(0.0))
+        depth = np.where(seen.known(_DEPTH_TOLERANCE), seen.depth(), np.float32(0.0))
         poses = self._between(depth, T_other, T_first)
         back = self._matcher.match(grey(newest.rgb), grey(self._frames[0].rgb))
         here = triangulate(back, se3.inverse(T_other), self._camera)
-        depth_here = np.where(here.known(c.tolerance), here.depth(), np.float32(0.0))
+        depth_here = np.where(here.known(_DEPTH_TOLERANCE), here.depth(), np.float32(0.0))
         return Initialisation(poses[newest.index], filled(depth_here), poses)
 
     def _between(self, depth: Float32, T_last: Float64, T_first: Float64) -> dict[int, Float64]:

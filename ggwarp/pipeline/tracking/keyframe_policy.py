@@ -30,13 +30,18 @@ class KeyframeConfig:
     overlap: float = 0.95
     """A frame is a tracking keyframe when the share of its points with a map match closer than
     the tracker's overlap distance is below this."""
-
     mapping_interval: int = 4
-    """A frame is a mapping keyframe every so many frames since the last tracking keyframe."""
+    """Every N-th frame since the last tracking keyframe is a mapping keyframe."""
 
 
 class KeyframePolicy(Protocol):
-    """Decides which frames enter the map."""
+    """Decides which frames enter the map.
+
+    Attributes:
+        needs_gaussians: whether it looks at the Gaussians being mapped, and so works in turn with the mapper.
+    """
+
+    needs_gaussians: bool
 
     @property
     def empty(self) -> bool:
@@ -54,6 +59,8 @@ class KeyframePolicy(Protocol):
 
 class OverlapKeyframes:
     """GS-ICP-SLAM's policy: overlap with the map, and a fixed interval in between."""
+
+    needs_gaussians = False
 
     def __init__(self, config: KeyframeConfig) -> None:
         self._config = config
@@ -84,13 +91,13 @@ class CovisibilityConfig:
     """When a frame becomes a keyframe by what it sees of the map (MonoGS)."""
 
     interval: int = 4
-    """A keyframe comes at least so many frames after the last one."""
+    """A keyframe comes at least N frames after the last one."""
     overlap: float = 0.95
     """A moved frame is a keyframe when what it sees and what the last one sees share less than this (IoU)."""
     min_translation: float = 0.02
-    """Moved means farther than this share of the median depth."""
+    """A frame has moved when it is farther from the last keyframe than this share of the median depth."""
     translation: float = 0.04
-    """Farther than this share of the median depth, a frame is a keyframe whatever it sees."""
+    """A frame farther away than this share of the median depth is a keyframe, whatever it sees."""
 
 
 class CovisibilityKeyframes:

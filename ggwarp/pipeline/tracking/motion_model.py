@@ -13,7 +13,7 @@ from ggwarp.types import Float64, Frame
 
 @dataclass
 class MotionModel:
-    """The last good pose and the velocity there.
+    """Constant velocity from the last good pose on.
 
     Attributes:
         T_wc: [4, 4] camera-to-world at ``time``, seconds.
@@ -46,6 +46,19 @@ class MotionModel:
         dt = time - self.time
         velocity = se3.se3_log(se3.inverse(self.T_wc) @ T_wc) / dt if dt > 0.0 else np.zeros(6)
         return MotionModel(T_wc, time, velocity)
+
+    def jump(self, T_wc: Float64, predicted: Float64, max_distance: float, max_turn: float) -> str:
+        """Say how far ``T_wc`` is from the ``predicted`` pose, where that is farther than is likely.
+
+        Args:
+            max_distance, max_turn: metres and radians; as much again for each frame lost before.
+        """
+        allowed = 1 + self.lost
+        motion = se3.se3_log(se3.inverse(predicted) @ T_wc)
+        distance, turn = float(np.linalg.norm(motion[:3])), float(np.linalg.norm(motion[3:]))
+        if distance <= allowed * max_distance and turn <= allowed * max_turn:
+            return ""
+        return f"jump of {distance:.2f} m, {np.degrees(turn):.0f} degrees"
 
 
 def depth_time(frame: Frame) -> float:

@@ -3,29 +3,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
-from ggwarp.geometry import se3
 from ggwarp.map.renderer import Renderer
 from ggwarp.pipeline.tracking.motion_model import MotionModel
 from ggwarp.pipeline.tracking.pose_refinement import Refined, RefinementConfig, Refiner
 from ggwarp.types import Float64, Frame, MapSnapshot, TrackResult, Verdict
 
+_RENDERS = 3
+"""Renders of an alignment at most."""
 
-@dataclass(frozen=True)
-class PhotometricConfig:
-    """How a frame is tracked by its colours, and when its pose is accepted."""
+_SURE_COST = 2.5
+"""A frame whose colours fit worse is also tried from the last good pose; if they still do, it is poor."""
 
-    refinement: RefinementConfig = field(default_factory=lambda: RefinementConfig(renders=3))
-    sure_cost: float = 2.5
-    """A frame whose colours fit worse is also tried from the last good pose; if they still do, it is poor."""
-    max_jump: float = 0.3
-    """A frame farther from its prediction is poor, metres."""
-    max_turn: float = 0.4
-    """Likewise a frame turned farther, radians."""
+_MAX_JUMP, _MAX_TURN = 0.3, 0.4
+"""A frame farther from its prediction is poor, metres and radians."""
 
 
 class PhotometricTracker:
@@ -36,10 +28,9 @@ class PhotometricTracker:
 
     needs_gaussians = True
 
-    def __init__(self, config: PhotometricConfig, renderer: Renderer, *, device: Any = "cpu") -> None:
+    def __init__(self, refinement: RefinementConfig, renderer: Renderer, *, device: Any = "cpu") -> None:
         """Make a tracker of frames whose pictures ``renderer``'s camera took."""
-        self._config = config
-        self._refiner = Refiner(config.refinement, renderer, device=device)
+        self._refiner = Refiner(refinement, renderer, renders=_RENDERS, device=device)
         self._motion: MotionModel | None = None
 
     def start(self, frame: Frame, T_wc: Float64) -> TrackResult:
@@ -60,21 +51,15 @@ class PhotometricTracker:
             raise RuntimeError("track() before start(): the first frame's pose must be given")
         predicted = self._motion.predict(frame.timestamp)
         found = self._refiner.refine(frame, predicted, with_depth=True)
-        if found.cost > self._config.sure_cost or found.objection:
+        if found.cost > _SURE_COST or found.objection:
             found = min(found, self._refiner.refine(frame, self._motion.T_wc, with_depth=True), key=_rank)
         if found.objection:
             self._motion.lost += 1
-            return TrackResult(predicted, Verdict.LOST, found.objection, found.share)
+            return TrackResult(predicted, Verdict.LOST, found.objection, overlap=found.share)
         reason = self._doubt(found, predicted)
         self._motion = self._motion.updated(found.T_wc, frame.timestamp)
-        return TrackResult(
-            found.T_wc,
-            Verdict.POOR if reason else Verdict.CONVERGED,
-            reason,
-            overlap=found.share,
-            iterations=found.iterations,
-            exposure=found.as_exposure(),
-        )
+        verdict = Verdict.POOR if reason else Verdict.CONVERGED
+        return TrackResult(found.T_wc, verdict, reason, exposure=found.as_exposure(), overlap=found.share)
 
     def on_pose_corrected(self, T_wc: Float64) -> None:
         """Take note that the last frame's pose [4, 4] was corrected by the mapper."""
@@ -84,12 +69,9 @@ class PhotometricTracker:
     def _doubt(self, found: Refined, predicted: Float64) -> str:
         """Return why the pose is poor, one clause; empty: it is not."""
         assert self._motion is not None
-        c, allowed = self._config, 1 + self._motion.lost
-        jump = se3.se3_log(se3.inverse(predicted) @ found.T_wc)
-        distance, turn = float(np.linalg.norm(jump[:3])), float(np.linalg.norm(jump[3:]))
-        if distance > allowed * c.max_jump or turn > allowed * c.max_turn:
-            return f"jump of {distance:.2f} m, {np.degrees(turn):.0f} degrees"
-        if found.cost > c.sure_cost:
+        if jump := self._motion.jump(found.T_wc, predicted, _MAX_JUMP, _MAX_TURN):
+            return jump
+        if found.cost > _SURE_COST:
             return f"the picture differs from the map by {found.cost:.1f} noise variances a pixel"
         return ""
 

@@ -14,7 +14,7 @@ import numpy as np
 import warp as wp
 
 from ggwarp.geometry import se3
-from ggwarp.types import Float32, MapSnapshot, TrackResult
+from ggwarp.types import Float32, Float64, FramePoints, MapSnapshot
 
 
 @dataclass(frozen=True)
@@ -40,15 +40,21 @@ class TrackableMap:
     def __len__(self) -> int:
         return sum(map(len, self._means))
 
-    def add(self, result: TrackResult) -> int:
-        """Add a keyframe's points that the map lacks; return how many."""
-        assert result.points is not None and result.distances2 is not None
-        assert result.quats is not None and result.spreads is not None
-        new = result.distances2 > self._config.distance**2
-        T = result.T_wc
-        self._means.append(se3.transform_points(T, result.points[new]).astype(np.float32))
-        self._quats.append(se3.rotate_quats(T[:3, :3], result.quats[new]).astype(np.float32))
-        self._spreads.append(result.spreads[new])
+    def add(self, points: FramePoints | None, T_wc: Float64) -> int:
+        """Add a keyframe's points that the map lacks; return how many.
+
+        Args:
+            T_wc: [4, 4] the keyframe's pose.
+
+        Raises:
+            ValueError: there are no points.
+        """
+        if points is None:
+            raise ValueError("the tracker gives no points to track by: choose keyframes by covisibility")
+        new = points.distances2 > self._config.distance**2
+        self._means.append(se3.transform_points(T_wc, points.points[new]).astype(np.float32))
+        self._quats.append(se3.rotate_quats(T_wc[:3, :3], points.quats[new]).astype(np.float32))
+        self._spreads.append(points.spreads[new])
         self._version += 1
         self._snapshot = None
         return int(new.sum())

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The camera's pose by gradient descent through the renderer, as MonoGS does it."""
+"""The camera's pose by gradient descent through the renderer, as MonoGS does it, with its values."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -24,30 +23,30 @@ _DARK = 2
 """Pixels no brighter than this in any channel are not compared, of 255."""
 
 
-@dataclass(frozen=True)
-class DescentConfig:
-    """Adam on the pose and the exposure (MonoGS's values)."""
+_ITERATIONS = 100
+"""Renders at most."""
 
-    iterations: int = 100
-    """Renders at most."""
-    rates: tuple[float, float] = (1e-3, 3e-3)
-    """Of translation and rotation, metres and radians."""
-    exposure_rate: float = 1e-2
-    """Of the exposure's (a, b)."""
-    tolerance: float = 1e-4
-    """Done when a step is smaller, metres and radians."""
-    depth_weight: float = 0.05
-    """Share of the depth's error in the loss, where there is depth."""
-    edge: float = 1.1
-    """Colours are compared where the picture changes by more than this share of the median around."""
+_RATES = (1e-3, 3e-3)
+"""Adam's rates of translation and rotation, metres and radians."""
+
+_EXPOSURE_RATE = 1e-2
+"""Adam's rate of the exposure's (a, b)."""
+
+_TOLERANCE = 1e-4
+"""Done when a step is smaller, metres and radians."""
+
+_DEPTH_WEIGHT = 0.05
+"""Share of the depth's error in the loss, where there is depth."""
+
+_EDGE = 1.1
+"""Colours are compared where the picture changes by more than this share of the median around."""
 
 
 class Descent:
     """Descends for one camera and one map, in arrays that are kept."""
 
-    def __init__(self, config: DescentConfig, renderer: Renderer, *, device: Any) -> None:
+    def __init__(self, renderer: Renderer, *, device: Any) -> None:
         """Prepare to compare pictures with what ``renderer`` renders."""
-        self._config = config
         self._renderer = renderer
         self._device = wp.get_device(device)
         row: Any = vec6
@@ -59,19 +58,19 @@ class Descent:
 
     def run(
         self, frame: Frame, T_cw: Float64, exposure: tuple[float, float]
-    ) -> tuple[Float64, tuple[float, float], int]:
-        """Return the pose [4, 4], world to camera, the exposure and the renders it took, from those given."""
-        c, r, device = self._config, self._renderer, self._device
+    ) -> tuple[Float64, tuple[float, float]]:
+        """Return the pose [4, 4], world to camera, and the exposure; the search starts from those given."""
+        r, device = self._renderer, self._device
         byte: Any = wp.uint8
         colour = wp.array(frame.rgb, dtype=byte, device=device)
-        mask = wp.array(edge_mask(frame.rgb, c.edge), dtype=byte, device=device)
+        mask = wp.array(edge_mask(frame.rgb, _EDGE), dtype=byte, device=device)
         depth = None if frame.depth is None else wp.array(frame.depth, dtype=float, device=device)
-        share = 0.0 if depth is None else c.depth_weight
+        share = 0.0 if depth is None else _DEPTH_WEIGHT
         pose, shine = r.pose_array(se3.inverse(T_cw)), wp.array(exposure, dtype=float, device=device)
         for array in (self._pose_moments, self._moments, self._steps):
             array.zero_()
-        now, renders = T_cw, 0
-        while renders < c.iterations:
+        now = T_cw
+        for _ in range(_ITERATIONS):
             r.forward(pose)
             photometric_loss(
                 r.image,
@@ -88,7 +87,7 @@ class Descent:
             r.adjoint_pose(pose)
             step_pose(
                 r.d_pose,
-                rates=c.rates,
+                rates=_RATES,
                 moments=self._pose_moments,
                 steps=self._steps[:1],
                 T_cw=pose,
@@ -96,20 +95,19 @@ class Descent:
             )
             step_exposure(
                 self._sums,
-                rate=c.exposure_rate,
+                rate=_EXPOSURE_RATE,
                 moments=self._moments,
                 steps=self._steps[1:],
                 exposure=shine,
                 loss=self._loss,
                 device=device,
             )
-            renders += 1
             before, now = now, to_host(pose)[0].astype(np.float64)
-            if np.linalg.norm(se3.se3_log(now @ se3.inverse(before))) < c.tolerance:
+            if np.linalg.norm(se3.se3_log(now @ se3.inverse(before))) < _TOLERANCE:
                 break
         a, b = to_host(shine).tolist()
         r.make_room()
-        return se3.orthonormalised(now), (a, b), renders
+        return se3.orthonormalised(now), (a, b)
 
 
 def edge_mask(rgb: NDArray[np.uint8], share: float) -> NDArray[np.uint8]:

@@ -15,27 +15,27 @@ from ggwarp.runtime.streams import to_host
 from ggwarp.solvers.registration import Cloud
 from ggwarp.types import Float32
 
+SLIP = 1.0
+"""Standard deviation along a surface, metres: how freely matched patches slide along each other."""
+
+_NEIGHBOURS = 10
+"""Neighbours that a point's ellipse is fitted to; 16 at most."""
+
 
 @dataclass(frozen=True)
 class ObservationConfig:
     """Which readings of a depth image are used, and how far each is trusted."""
 
     points: int = 8000
-    """About so many points a frame: the sampling grid is as fine as that takes."""
+    """About so many points of a frame are tracked: the sampling grid is as fine as that takes."""
     near: float = 0.1
     """Readings closer are dropped, metres."""
     far: float = 12.0
-    """Readings farther are dropped, metres; far ones count little anyway (noise_growth)."""
-    edge: float = 0.0
-    """Readings are dropped where inverse depth bends by more than this share within a pixel; 0: none are."""
-    neighbours: int = 10
-    """Neighbours that a point's ellipse is fitted to; 16 at most."""
+    """Readings farther are dropped, metres; far ones count little anyway."""
     noise_floor: float = 0.001
     """Standard deviation of depth at no distance, metres."""
     noise_growth: float = 0.002
-    """Its growth with squared distance, 1/metre: structured light and stereo."""
-    slip: float = 1.0
-    """Standard deviation along a surface, metres: how freely matched patches slide along each other."""
+    """Growth of depth's standard deviation with squared distance, 1/metre: structured light and stereo."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def observe(image: Float32, camera: Camera, config: ObservationConfig, *, device
     """Sample ``image`` [h, w] (metres, 0 = no reading) and fit an ellipse to each point.
 
     Raises:
-        ValueError: an image that is not of the camera's size; a bad number of neighbours.
+        ValueError: an image that is not of the camera's size.
     """
     h, w = image.shape
     if (h, w) != (camera.height, camera.width):
@@ -87,7 +87,7 @@ def observe(image: Float32, camera: Camera, config: ObservationConfig, *, device
         stride=stride,
         near=config.near,
         far=config.far,
-        edge=config.edge,
+        edge=0.0,  # readings at edges of depth are kept
         flags=flags,
         slots=slots,
         points=points,
@@ -97,7 +97,7 @@ def observe(image: Float32, camera: Camera, config: ObservationConfig, *, device
     n = int(to_host(flags[-1:])[0] + to_host(slots[-1:])[0])
     points, pixels = points[:n], pixels[:n]
     spacing = float(np.median(to_host(points)[:, 2])) * stride / camera.fx if n else 0.0
-    quats, scales = fit_ellipses(points, pixels, camera, stride=stride, k=config.neighbours, device=device)
+    quats, scales = fit_ellipses(points, pixels, camera, stride=stride, k=_NEIGHBOURS, device=device)
     spreads = _spreads(points, scales, config, device)
     covariances = _empty(n, wp.mat33, device)
     covariance.build_covariances(quats, spreads, covariances=covariances, device=device)
@@ -139,7 +139,7 @@ def _spreads(points: Any, scales: Any, config: ObservationConfig, device: Any) -
         scales,
         noise_floor=config.noise_floor,
         noise_growth=config.noise_growth,
-        slip=config.slip,
+        slip=SLIP,
         scales=spreads,
         device=device,
     )

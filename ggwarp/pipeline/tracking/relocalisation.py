@@ -17,33 +17,35 @@ from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from ggwarp.types import Float32, Float64, Frame
 
+MAX_CANDIDATES = 8
+"""A frame is registered from so many poses at most, the best by their small pictures."""
 
-@dataclass(frozen=True)
-class RelocaliserConfig:
-    """How views are remembered, and what agrees with them."""
+_WIDTH = 64
+"""Width of a remembered view, pixels; its height follows."""
 
-    width: int = 64
-    """Width of a remembered view, pixels; its height follows."""
-    apart: float = 0.3
-    """A view is remembered when it is farther from all others than this, metres and radians."""
-    similar: int = 4
-    """So many of the most similar views are taken as places where the camera could be."""
-    turns: tuple[float, ...] = (0.0, 0.2, 0.4, 0.6)
-    """Angles to either side, from every such place, radians; up and down half of all but the largest."""
-    tries: int = 8
-    """So many of all those poses, the best by their small pictures, are registered from."""
-    tolerance: float = 0.05
-    """Depths agree that differ by no more at no distance, metres, ..."""
-    growth: float = 0.03
-    """... and so much more per metre of distance."""
-    compared: int = 4
-    """A pose is compared with so many nearest views."""
-    min_shared: float = 0.1
-    """A pose at which a smaller share of a frame agrees with a remembered view cannot be checked."""
-    max_through: float = 0.15
-    """A pose is wrong where a larger share of what both views show is seen through."""
-    min_correlation: float = 0.6
-    """A pose is wrong where brightness correlates less, on surfaces that agree."""
+_APART = 0.3
+"""A view is remembered when it is farther from all others than this, metres and radians."""
+
+_SIMILAR = 4
+"""So many of the most similar views are taken as places where the camera could be."""
+
+_TURNS = (0.0, 0.2, 0.4, 0.6)
+"""Angles to either side, from every such place, radians; up and down half of all but the largest."""
+
+_TOLERANCE, _TOLERANCE_GROWTH = 0.05, 0.03
+"""Depths agree that differ by no more than this at no distance, metres, and so much more per metre."""
+
+_COMPARED = 4
+"""A pose is compared with so many nearest views."""
+
+_MIN_SHARED = 0.1
+"""A pose at which a smaller share of a frame agrees with a remembered view cannot be checked."""
+
+_MAX_THROUGH = 0.15
+"""A pose is wrong where a larger share of what both views show is seen through."""
+
+_MIN_CORRELATION = 0.6
+"""A pose is wrong where brightness correlates less, on surfaces that agree."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,15 @@ class ViewConsistency:
         )
 
     @property
+    def is_consistent(self) -> bool:
+        """Whether a pose with such a view may be true."""
+        return (
+            self.shared >= _MIN_SHARED
+            and self.through <= _MAX_THROUGH
+            and self.correlation >= _MIN_CORRELATION
+        )
+
+    @property
     def score(self) -> float:
         """Larger is likelier."""
         return self.shared * (1.0 + max(self.correlation, 0.0)) * (1.0 - self.through) ** 2
@@ -84,11 +95,10 @@ class _View:
 class Relocaliser:
     """Remembers small views with their poses."""
 
-    def __init__(self, config: RelocaliserConfig, sensor_camera: Camera) -> None:
+    def __init__(self, sensor_camera: Camera) -> None:
         """Remember nothing yet; frames' sensor depth is by ``sensor_camera``."""
-        self._config = config
-        height = max(1, round(config.width * sensor_camera.height / sensor_camera.width))
-        self._camera = sensor_camera.resized(config.width, height)
+        height = max(1, round(_WIDTH * sensor_camera.height / sensor_camera.width))
+        self._camera = sensor_camera.resized(_WIDTH, height)
         self._views: list[_View] = []
         self._poses: Float64 = np.zeros((0, 4, 4))
         self._signatures: Float32 = np.zeros((0, 0), np.float32)
@@ -98,7 +108,7 @@ class Relocaliser:
 
     def remember(self, frame: Frame, T_wc: Float64) -> None:
         """Keep the view of ``frame`` from ``T_wc`` [4, 4], unless one from nearly there is kept."""
-        if len(self) and self._distances(T_wc).min() < self._config.apart:
+        if len(self) and _distances(self._poses, T_wc).min() < _APART:
             return
         view = self._view(frame)
         signature = _signature(view)
@@ -112,10 +122,9 @@ class Relocaliser:
         Args:
             bases: poses about which to look, beside those of similar views.
         """
-        c = self._config
         view = self._view(frame)
-        similar = np.argsort(-(self._signatures @ _signature(view)), kind="stable")[: c.similar]
-        side = sorted({s * a for a in c.turns for s in (1.0, -1.0)}, key=lambda a: (abs(a), a))
+        similar = np.argsort(-(self._signatures @ _signature(view)), kind="stable")[:_SIMILAR]
+        side = sorted({s * a for a in _TURNS for s in (1.0, -1.0)}, key=lambda a: (abs(a), a))
         turns = [
             se3.se3_exp([0, 0, 0, up / 2.0, across, 0]) for across in side for up in side if abs(up) < 0.5
         ]
@@ -126,22 +135,13 @@ class Relocaliser:
         for i in np.argsort(-np.array(scores), kind="stable"):
             if all(_distances(np.array([T]), poses[i])[0] > 0.1 for T in best):
                 best.append(poses[i])
-            if len(best) == c.tries:
+            if len(best) == MAX_CANDIDATES:
                 break
         return best
 
     def verify(self, frame: Frame, T_wc: Float64) -> ViewConsistency:
         """Return how ``frame`` from ``T_wc`` [4, 4] compares with the nearest views."""
-        return self._compare(self._view(frame), T_wc, views=self._config.compared)
-
-    def is_consistent(self, found: ViewConsistency) -> bool:
-        """Whether a view that compares so with the nearest ones may be true."""
-        c = self._config
-        return (
-            found.shared >= c.min_shared
-            and found.through <= c.max_through
-            and found.correlation >= c.min_correlation
-        )
+        return self._compare(self._view(frame), T_wc, views=_COMPARED)
 
     def _view(self, frame: Frame) -> _View:
         image = frame.depth if frame.sensor_depth is None else frame.sensor_depth
@@ -155,15 +155,12 @@ class Relocaliser:
         points = self._camera.back_project(u, v, depth[v, u]).astype(np.float32)
         return _View(grey, depth, points, grey[v, u])
 
-    def _distances(self, T_wc: Float64) -> Float64:
-        return _distances(self._poses, T_wc)
-
     def _compare(
         self, view: _View, T_wc: Float64, *, views: int, slack: float = 1.0, thinning: int = 1
     ) -> ViewConsistency:
         shared, correlation = 0.0, 1.0
         seen = through = 0
-        for i in np.argsort(self._distances(T_wc), kind="stable")[:views]:
+        for i in np.argsort(_distances(self._poses, T_wc), kind="stable")[:views]:
             other = self._views[i]
             T = se3.inverse(self._poses[i]) @ T_wc
             here, there, passed = self._project(view, other, T, slack)
@@ -180,13 +177,12 @@ class Relocaliser:
         Args:
             T: [4, 4] from the camera of ``view`` to that of ``other``.
         """
-        c = self._config
         x = view.points @ T[:3, :3].T.astype(np.float32) + T[:3, 3].astype(np.float32)
         v, u, inside = self._camera.pixels_of(x)
         u, v, z, shades = u[inside], v[inside], x[inside, 2], view.shades[inside]
         seen = other.depth[v, u]
         gap = seen - z
-        tolerance = slack * (c.tolerance + c.growth * z)
+        tolerance = slack * (_TOLERANCE + _TOLERANCE_GROWTH * z)
         agree = (seen > 0.0) & (np.abs(gap) < tolerance)
         passed = int(np.count_nonzero((seen > 0.0) & (gap >= tolerance)))
         return shades[agree], other.grey[v[agree], u[agree]], passed

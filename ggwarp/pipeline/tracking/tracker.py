@@ -1,60 +1,160 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The trackers there are, and how one is built."""
+"""What a tracker is, the trackers there are by name, and how others register their own."""
 
 from __future__ import annotations
 
-from typing import Any, Literal, Protocol
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Protocol
 
 from ggwarp.geometry.camera import Camera
 from ggwarp.map.renderer import Renderer
 from ggwarp.pipeline.tracking.gicp import GicpConfig, GicpTracker
 from ggwarp.pipeline.tracking.given_poses import GivenPoses
-from ggwarp.pipeline.tracking.hybrid import HybridConfig, HybridTracker
+from ggwarp.pipeline.tracking.hybrid import HybridTracker
 from ggwarp.pipeline.tracking.initialisation import InitialisationConfig
 from ggwarp.pipeline.tracking.monocular import MonocularTracker
-from ggwarp.pipeline.tracking.photometric import PhotometricConfig, PhotometricTracker
+from ggwarp.pipeline.tracking.photometric import PhotometricTracker
+from ggwarp.pipeline.tracking.pose_refinement import RefinementConfig
 from ggwarp.types import Float64, Frame, MapSnapshot, TrackResult
-
-TrackerKind = Literal["gicp", "photometric", "hybrid", "ground-truth"]
 
 
 class Tracker(Protocol):
-    """Finds each frame's pose; one that looks at the Gaussians says so by ``needs_gaussians = True``."""
+    """Finds each frame's pose.
+
+    Attributes:
+        needs_gaussians: whether it looks at the Gaussians being mapped, and so works in turn with the mapper.
+    """
+
+    needs_gaussians: bool
 
     def start(self, frame: Frame, T_wc: Float64) -> TrackResult:
-        """Take the first frame, whose pose [4, 4] is given."""
+        """Take the first frame, whose pose [4, 4] is given; again with the next one where that is lost."""
         ...
 
     def track(self, frame: Frame, target: MapSnapshot) -> TrackResult:
-        """Return the pose of the next frame."""
+        """Return the pose of the next frame.
+
+        Args:
+            target: the map's trackable points; none where the tracker gives none.
+        """
         ...
 
     def on_pose_corrected(self, T_wc: Float64) -> None:
-        """Take note that the last frame's pose [4, 4] was corrected by the mapper."""
+        """Take note that the last frame's pose [4, 4] was corrected by the mapper.
+
+        Called only where tracking and mapping work in turn.
+        """
         ...
 
 
-def make_tracker(
-    kind: TrackerKind,
-    *,
-    gicp: GicpConfig,
-    photometric: PhotometricConfig,
-    hybrid: HybridConfig,
-    sensor_camera: Camera,
-    renderer: Renderer,
-    initialisation: InitialisationConfig | None = None,
-    device: Any,
-) -> Tracker:
-    """Return a tracker of frames with colour by the renderer's camera and depth by ``sensor_camera``.
+@dataclass(frozen=True)
+class TrackerContext:
+    """What a tracker may be built from.
 
-    Args:
+    Attributes:
+        config: the trackers' options.
+        camera: of the frames' pictures. sensor_camera: of their sensor depth.
         renderer: of the map that is being built; for those that look at it.
+        device: Warp device.
+        monocular: frames have no depth.
     """
-    if initialisation is not None:
-        return MonocularTracker(photometric, initialisation, renderer, device=device)
-    if kind == "photometric":
-        return PhotometricTracker(photometric, renderer, device=device)
-    if kind == "hybrid":
-        return HybridTracker(hybrid, gicp, sensor_camera, renderer, device=device)
-    tracker = GivenPoses if kind == "ground-truth" else GicpTracker
-    return tracker(gicp, sensor_camera, device=device)
+
+    config: TrackingConfig
+    camera: Camera
+    sensor_camera: Camera
+    renderer: Renderer
+    device: Any = "cpu"
+    monocular: bool = False
+
+
+TrackerFactory = Callable[[TrackerContext], Tracker]
+"""Makes a tracker; it is called again where a new map begins."""
+
+if TYPE_CHECKING:
+    TrackerChoice = str | TrackerFactory
+else:
+    TrackerChoice = str  # on the command line and in files a tracker is chosen by its name
+
+
+@dataclass(frozen=True)
+class TrackingConfig:
+    """The tracker, and the options of all of them."""
+
+    tracker: TrackerChoice = "gicp"
+    """How poses are found: gicp registers depth to the map's points; photometric looks for the pose at which
+    the map looks like the picture; hybrid asks colour where geometry leaves the pose uncertain; ground-truth
+    takes the data set's own."""
+    gicp: GicpConfig = field(default_factory=GicpConfig)
+    refinement: RefinementConfig = field(default_factory=RefinementConfig)
+    initialisation: InitialisationConfig = field(default_factory=InitialisationConfig)
+
+    def __post_init__(self) -> None:
+        """Refuse a tracker that there is not, by :class:`TrackerError`."""
+        tracker_factory(self.tracker)
+
+
+def _gicp(context: TrackerContext) -> Tracker:
+    return GicpTracker(context.config.gicp, context.sensor_camera, device=context.device)
+
+
+def _photometric(context: TrackerContext) -> Tracker:
+    c = context.config
+    if context.monocular:
+        return MonocularTracker(c.refinement, c.initialisation, context.renderer, device=context.device)
+    return PhotometricTracker(c.refinement, context.renderer, device=context.device)
+
+
+def _hybrid(context: TrackerContext) -> Tracker:
+    c = context.config
+    return HybridTracker(c.gicp, c.refinement, context.sensor_camera, context.renderer, device=context.device)
+
+
+def _ground_truth(context: TrackerContext) -> Tracker:
+    return GivenPoses(context.config.gicp, context.sensor_camera, device=context.device)
+
+
+TRACKERS: dict[str, TrackerFactory] = {
+    "gicp": _gicp,
+    "photometric": _photometric,
+    "hybrid": _hybrid,
+    "ground-truth": _ground_truth,
+}
+"""Name -> what makes that tracker; :func:`register_tracker` adds to it."""
+
+
+class TrackerError(ValueError):
+    """What was given as a tracker is none."""
+
+
+def register_tracker(name: str, factory: TrackerFactory) -> None:
+    """Make a tracker known as ``name``, in configurations and on the command line.
+
+    Raises:
+        TrackerError: ``factory`` cannot be called.
+    """
+    TRACKERS[name] = tracker_factory(factory)
+
+
+def tracker_factory(choice: TrackerChoice) -> TrackerFactory:
+    """Return what makes the tracker ``choice``, a name or a factory.
+
+    Raises:
+        TrackerError: there is no tracker of that name, or it is neither name nor factory.
+    """
+    names = ", ".join(TRACKERS)
+    if isinstance(choice, str):
+        if choice not in TRACKERS:
+            raise TrackerError(f"{choice}: no such tracker; choose one of {names}")
+        return TRACKERS[choice]
+    if not callable(choice):
+        raise TrackerError(
+            f"{choice!r}: no tracker; give a name ({names}), or a function that takes a TrackerContext and "
+            "returns a tracker"
+        )
+    return choice
+
+
+def make_tracker(context: TrackerContext) -> Tracker:
+    """Return the tracker that ``context.config.tracker`` asks for."""
+    return tracker_factory(context.config.tracker)(context)

@@ -3,9 +3,10 @@ import numpy as np
 
 from ggwarp.map.covisibility import Visibility
 from ggwarp.pipeline.tracking.keyframe_policy import CovisibilityConfig, CovisibilityKeyframes, KeyframeKind
-from ggwarp.types import Float64, TrackResult, Verdict
+from ggwarp.types import Float64, FramePoints, TrackResult, Verdict
 
 CONFIG = CovisibilityConfig(interval=2, overlap=0.9, min_translation=0.02, translation=0.2)
+POINTS = FramePoints(*(np.zeros((1, n), np.float32) for n in (3, 4, 3)), np.zeros(1, np.float32))
 
 
 def at(x: float) -> Float64:
@@ -21,7 +22,7 @@ def look(T_wc: Float64) -> Visibility:
 
 
 def result(x: float, verdict: Verdict = Verdict.CONVERGED, points: bool = True) -> TrackResult:
-    return TrackResult(at(x), verdict, points=np.zeros((1, 3), np.float32) if points else None)
+    return TrackResult(at(x), verdict, points=POINTS if points else None)
 
 
 def kinds(*results: TrackResult) -> list[str]:

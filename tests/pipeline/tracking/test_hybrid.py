@@ -11,7 +11,6 @@ from ggwarp.geometry import se3
 from ggwarp.pipeline.mapping.mapper import MapperConfig
 from ggwarp.pipeline.slam import Slam, SlamConfig
 from ggwarp.pipeline.tracking.hybrid import loosened, relative_noise, without_slip
-from ggwarp.pipeline.tracking.photometric import PhotometricConfig
 from ggwarp.pipeline.tracking.pose_descent import edge_mask
 from ggwarp.pipeline.tracking.pose_refinement import RefinementConfig
 from ggwarp.types import Frame, Verdict
@@ -144,7 +143,7 @@ def test_the_extent_of_patches_is_not_information(rng: np.random.Generator) -> N
 
 def test_descent_through_the_renderer_finds_the_pose_too(device: str, office: list[Frame]) -> None:
     refinement = RefinementConfig(method="descent")
-    config = dataclasses.replace(PHOTOMETRIC, photometric=PhotometricConfig(refinement))
+    config = dataclasses.replace(PHOTOMETRIC, refinement=refinement)
     slam = run(config, office[:4], device)
     assert max(errors_cm(slam, office[:4])) < 2.0
     # As published: tens of renders a frame, at most a hundred.

@@ -89,7 +89,7 @@ def situation(dataset: Dataset, frames: int, *, device: Any) -> Situation:
     result = tracker.start(previous, np.eye(4) if previous.T_wc is None else previous.T_wc)
     for index in range(1, min(frames, len(dataset))):
         if policy.decide(result) is KeyframeKind.TRACKING:
-            trackable.add(result)
+            trackable.add(result.points, result.T_wc)
         frame = dataset[index]
         if index == min(frames, len(dataset)) - 1:
             break
@@ -98,7 +98,7 @@ def situation(dataset: Dataset, frames: int, *, device: Any) -> Situation:
         raise DatasetError(f"{dataset.name}: {len(dataset)} frames; at least 2 are needed")
     image = frame.depth if frame.sensor_depth is None else frame.sensor_depth
     assert image is not None
-    seen = observe(image, dataset.camera, config.observation, device=device)
+    seen = observe(image, dataset.camera, config, device=device)
     return Situation(dataset.camera, previous, result.T_wc, frame, trackable.snapshot(), seen)
 
 

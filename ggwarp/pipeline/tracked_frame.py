@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What goes from tracking to mapping: a frame, its pose and what it adds to the map."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+from ggwarp.pipeline.scheduler import Arrival
+from ggwarp.pipeline.tracking.keyframe_policy import KeyframeKind
+from ggwarp.types import Frame, StepReport, TrackResult, Verdict
+
+
+@dataclass(frozen=True)
+class TrackedFrame:
+    """A frame as the tracker's side hands it to the mapper's; everything is on the host.
+
+    Attributes:
+        frame: as it came. arrival: when that was.
+        result: its pose. kind: what it adds to the map.
+        seconds: spent on the pose.
+    """
+
+    frame: Frame
+    arrival: Arrival
+    result: TrackResult
+    kind: KeyframeKind
+    seconds: float
+
+    @property
+    def is_keyframe(self) -> bool:
+        return self.kind is not KeyframeKind.NONE
+
+    @property
+    def is_lost(self) -> bool:
+        return self.result.verdict is Verdict.LOST
+
+    def with_depth(self) -> Frame:
+        """Return the frame with the depth that tracking estimated, if it did."""
+        estimated = self.result.depth
+        return self.frame if estimated is None else dataclasses.replace(self.frame, depth=estimated)
+
+    def report(self, *, seconds: float, iterations: int, gaussians: int, loss: float) -> StepReport:
+        """Return the frame's report.
+
+        Args:
+            seconds, iterations: spent on the map.
+            gaussians: in the map afterwards.
+            loss: mean mapping loss.
+        """
+        result, arrival = self.result, self.arrival
+        return StepReport(
+            index=self.frame.index,
+            timestamp=self.frame.timestamp,
+            T_wc=result.T_wc,
+            verdict=result.verdict,
+            reason=result.reason,
+            overlap=result.overlap,
+            rmse=0.0 if result.points is None else result.points.rmse,
+            keyframe=self.kind.value,
+            tracking_ms=1e3 * self.seconds,
+            mapping_ms=1e3 * seconds,
+            mapping_iterations=iterations,
+            gaussians=gaussians,
+            loss=loss,
+            latency_ms=1e3 * (arrival.delay + self.seconds),
+            late_ms=1e3 * arrival.delay if arrival.late else 0.0,
+            frames_behind=arrival.behind,
+        )
