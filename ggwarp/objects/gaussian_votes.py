@@ -25,7 +25,7 @@ _DEPTH_TOLERANCE = 0.03  # a frame shows a Gaussian where their depths agree to 
 _OPAQUE = 0.5
 _PROBABLE = 0.7  # the map knows a pixel's object when that is at least so probable...
 _KNOWN_VOTES = 2  # ... and so many frames voted there
-_CERTAIN_VOTES = 3  # a mask is not believed against so many
+_CERTAIN_VOTES = 3  # a mask that contradicts so many is not learnt from
 _FRESH_LIMIT = 2  # votes of a class to learn fast: one more outnumbers all that came before
 
 

@@ -23,7 +23,7 @@ from ggwarp.objects.labels import solid
 from ggwarp.objects.mask_view import MaskView
 from ggwarp.types import Float64
 
-_VOXEL = 0.1  # metres: places are told apart to so much
+_VOXEL = 0.1  # metres
 _TOUCHING = 1.8 * _VOXEL  # between the centres of neighbouring voxels, corner to corner
 _LEAST_GAP = 0.3  # far is at least so many metres...
 _GAP = 1.0  # ... and so many times the diameter of the larger part
@@ -35,10 +35,10 @@ class SplittingConfig:
     """When an id's objects are two."""
 
     views: int = 3
-    """An id is split when so many frames have shown a part of it far from the rest; 0: an id is always one
-    object."""
+    """An id is split when N frames have shown a part of it far from the rest; 0: an id is one object."""
     within_frames: bool = False
-    """What one frame shows under one id may be split, too; without it masks are believed as to that."""
+    """Objects that one frame shows under one id are split, too; without it, what one mask shows under one id
+    is one object."""
 
 
 @dataclass(eq=False)

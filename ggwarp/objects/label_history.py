@@ -53,7 +53,7 @@ class LabelHistory:
         return mask.with_labels(corrected(mask.knowledge.known, mask.labels, wrong)) if wrong else mask
 
     def wrong_labels(self, mask: MaskView, *, anew: bool = True) -> list[tuple[int, int]]:
-        """Take in a view; return (object, label) where its label is to be disbelieved.
+        """Take in a view; return (object, label) where the label is wrong about the object.
 
         Arguments as of :meth:`correct`.
         """

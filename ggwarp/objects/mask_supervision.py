@@ -33,11 +33,11 @@ from ggwarp.types import Float32, Float64, Frame, Rendered
 
 @dataclass(frozen=True)
 class SupervisionConfig:
-    """How far object masks are believed."""
+    """How masks move the map, and the map the masks."""
 
     votes: int = 8
-    """A Gaussian's identity is the mean over about so many frames' labels; 0: labels are believed as they
-    come, and only gradients move identities, as published."""
+    """A Gaussian's identity is the mean over the labels of about N frames; 0: labels are taken as they come,
+    and only gradients move identities, as published."""
     vote_interval: int = 2
     """Masks of frames that are no keyframes vote, too, except every N-th, where objects can be measured;
     0: none of them votes."""

@@ -87,7 +87,7 @@ def test_classes_grow_past_their_room_and_keep_what_they_learnt(device: str) -> 
     assert (classifier._weights.numpy()[3:300] == classifier.codes[3:]).all()
 
 
-def test_a_view_without_labels_teaches_nothing(device: str, rng: np.random.Generator) -> None:
+def test_a_view_without_labels_trains_nothing(device: str, rng: np.random.Generator) -> None:
     gaussians, renderer, classifier = made(device, ClassifierConfig())
     classifier.grow(3)
     gaussians.append(wall(classifier.codes[[1, 2]], rng))

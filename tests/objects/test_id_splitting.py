@@ -67,7 +67,7 @@ def test_a_part_far_away_is_another_object_at_its_third_view() -> None:
 
 
 @pytest.mark.parametrize("within_frames", [False, True])
-def test_masks_are_believed_as_to_what_one_frame_shows(within_frames: bool) -> None:
+def test_what_one_frame_shows_under_an_id_is_one_object_unless_asked(within_frames: bool) -> None:
     wall = Wall({-0.9: 7, 0.9: 7}, within_frames=within_frames)
     for _ in range(4):
         labels, fresh = wall.look(0.0)

@@ -3,7 +3,6 @@
 
 import numpy as np
 
-from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from ggwarp.objects.mask_view import PosedDepth
 from ggwarp.objects.tentative import Candidates
@@ -18,24 +17,6 @@ def wall_from(x: float, z: float = 2.0) -> tuple[PosedDepth, np.ndarray]:
     view = PosedDepth(np.full((40, 60), z, np.float32), T_wc, CAMERA)
     points = view.points(np.ones((40, 60), bool), 60 * 40).reshape(40, 60, 3)
     return view, (np.abs(points[..., :2]) < 0.3).all(axis=2)
-
-
-def test_points_and_pixels_are_each_other_s_inverse() -> None:
-    rng = np.random.default_rng(1)
-    T_wc = se3.se3_exp(rng.normal(size=6) * 0.3)
-    view = PosedDepth(rng.uniform(1.0, 3.0, (40, 60)).astype(np.float32), T_wc, CAMERA)
-    numbers = np.arange(40 * 60, dtype=np.int32).reshape(40, 60)
-    assert view.look_up(view.points(numbers >= 0, 9999), numbers).tolist() == list(range(40 * 60))
-
-
-def test_only_points_that_a_view_shows_are_looked_up() -> None:
-    view, square = wall_from(0.0)
-    points = view.points(square, 64)
-    in_front = PosedDepth(np.full((40, 60), 1.0, np.float32), view.T_wc, CAMERA)
-    labels = square.astype(np.int32)
-    assert len(in_front.look_up(points, labels)) == 0
-    assert (view.look_up(points, labels) == 1).all()
-    assert len(wall_from(50.0)[0].look_up(points, labels)) == 0
 
 
 def test_a_segment_is_recognised_from_elsewhere() -> None:

@@ -6,7 +6,7 @@ from typing import Any
 import warp as wp
 
 from ggwarp.kernels.identity.cross_entropy import exp16, runs_by_rows
-from ggwarp.kernels.identity.cross_entropy_pixels import IDENTITY_PLANE
+from ggwarp.kernels.identity.cross_entropy_pixels import IDENTITY_PLANE, identity_at
 from ggwarp.kernels.math import vec16
 from ggwarp.runtime.launch import launch_split
 
@@ -91,9 +91,7 @@ def _pixels_kernel(
     item = wp.tid()
     row = item / labels.shape[1]
     column = item - row * labels.shape[1]
-    e = vec16()
-    for k in range(16):
-        e[k] = image[IDENTITY_PLANE + k, row, column]
+    e = identity_at(image, row, column)
     label, probability = _best_class(e, classes, weights, biases)
     labels[row, column] = label
     probabilities[row, column] = probability

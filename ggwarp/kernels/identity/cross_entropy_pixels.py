@@ -19,7 +19,8 @@ IDENTITY_PLANE = wp.constant(4)
 
 
 @wp.func
-def _identity_at(image: wp.array3d[wp.float32], row: int, column: int) -> vec16:
+def identity_at(image: wp.array3d[wp.float32], row: int, column: int) -> vec16:
+    """Return the identity of a pixel of a render [20, Hp, Wp]."""
     e = vec16()
     for k in range(16):
         e[k] = image[IDENTITY_PLANE + k, row, column]
@@ -50,7 +51,7 @@ def _pixels_kernel(
         label = labels[row, column]
     d = vec16()
     if label >= 0 and label < classes:
-        e = _identity_at(image, row, column)
+        e = identity_at(image, row, column)
         largest = float(-1.0e30)
         total = float(0.0)
         for c in range(classes):
@@ -101,7 +102,7 @@ def _classes_kernel(
             if row < labels.shape[0] and column < labels.shape[1]:
                 label = labels[row, column]
             if label >= 0 and label < classes:
-                e = _identity_at(image, row, column)
+                e = identity_at(image, row, column)
                 log_p = wp.dot(w, e) + biases[c] - log_sums[row, column]
                 g = wp.exp(log_p)
                 if label == c:
