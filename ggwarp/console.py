@@ -1,15 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the command shows: progress, notes, warnings, the closing table.
+"""What the command shows: progress, notes, warnings, the closing table; and how it hears Ctrl-C.
 
 On a terminal a live progress line and a table; elsewhere plain lines, one every few seconds, and
-``key value`` at the end. Results and progress go to standard output, warnings and errors to
-standard error.
+``key value`` at the end. Results and progress go to standard output, warnings and errors to standard error.
+Everything goes through one display, so that a line never tears the progress line. Text from the data is
+shown as it is, never taken for markup.
 """
 
 from __future__ import annotations
 
 import logging
+import signal
 import time
+from enum import Enum
+from types import FrameType, TracebackType
 from typing import Any, Protocol
 
 from rich.console import Console
@@ -21,18 +25,25 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 from rich.table import Table
-
-_log = logging.getLogger(__name__)
+from rich.text import Text
 
 _WIDE = 110  # columns from which on there is room for a bar
 _PLAIN_INTERVAL = 5.0  # seconds between progress lines where there is no terminal
+
+
+class Verbosity(Enum):
+    """How much the command says."""
+
+    QUIET = logging.WARNING
+    NORMAL = logging.INFO
+    VERBOSE = logging.DEBUG
 
 
 class Display(Protocol):
     """Shows a run to its user."""
 
     def note(self, line: str) -> None:
-        """Say one thing."""
+        """Say one thing on the way."""
         ...
 
     def warn(self, line: str) -> None:
@@ -55,56 +66,141 @@ class Display(Protocol):
         """Show ``metrics``, a table with a section for each of ``groups`` (title -> keys)."""
         ...
 
+    def conclude(self, line: str) -> None:
+        """Say the last thing: how the run ended."""
+        ...
 
-def open_display() -> Display:
-    """Return the display that suits standard output, and show what the library logs."""
-    console = Console()
+
+def open_display(verbosity: Verbosity = Verbosity.NORMAL) -> Display:
+    """Return the display that suits standard output, and let it show what the library logs."""
+    output, errors = Console(), Console(stderr=True)
+    display: Display
+    if verbosity is Verbosity.QUIET:
+        display = QuietDisplay(output, errors)
+    elif verbosity is Verbosity.VERBOSE:
+        display = PlainDisplay(output, errors, interval=0.0)
+    else:
+        display = (TerminalDisplay if output.is_terminal else PlainDisplay)(output, errors)
+    show_log(display, verbosity)
+    return display
+
+
+def show_log(display: Display, verbosity: Verbosity) -> None:
+    """Let ``display`` show what the library logs."""
     log = logging.getLogger("ggwarp")
-    log.handlers = [_LogHandler(console, Console(stderr=True))]
-    log.setLevel(logging.INFO)
-    return TerminalDisplay(console) if console.is_terminal else PlainDisplay()
+    log.handlers = [_LogHandler(display)]
+    log.setLevel(verbosity.value)
 
 
 class _LogHandler(logging.Handler):
-    """Shows warnings on standard error and the rest on standard output, a line each."""
+    """Hands records to the display: warnings as such, the rest as notes."""
 
-    def __init__(self, output: Console, errors: Console) -> None:
+    def __init__(self, display: Display) -> None:
         super().__init__()
-        self._output, self._errors = output, errors
+        self._display = display
 
     def emit(self, record: logging.LogRecord) -> None:
-        line = record.getMessage()
-        if record.levelno >= logging.WARNING:
-            _print(self._errors, f"warning: {line}")
-        else:
-            _print(self._output, line)
+        show = self._display.warn if record.levelno >= logging.WARNING else self._display.note
+        show(record.getMessage())
 
 
-class TerminalDisplay:
-    """A live progress line and a table."""
+class Interruption:
+    """Turns the first Ctrl-C into a request to stop after the current step; a second one kills."""
 
-    def __init__(self, console: Console) -> None:
-        self._console = console
-        # A terminal of 80 columns must have room for a whole status line.
-        bar = [BarColumn(bar_width=24)] if console.width >= _WIDE else []
-        self._progress = Progress(
-            SpinnerColumn(),
-            TextColumn("{task.description}"),
-            *bar,
-            TextColumn("{task.fields[count]}"),
-            TimeRemainingColumn(compact=True),
-            TextColumn("{task.fields[status]}"),
-            console=console,
-            transient=True,
-        )
-        self._task: Any = None
-        self._done, self._total = 0, None
+    requested = False
+
+    def __enter__(self) -> Interruption:
+        try:
+            self._previous = signal.signal(signal.SIGINT, self._request)
+        except ValueError:  # not the main thread: signals are the caller's business
+            self._previous = None
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._previous is not None:
+            signal.signal(signal.SIGINT, self._previous)
+
+    def _request(self, number: int, frame: FrameType | None) -> None:
+        if self.requested:
+            raise KeyboardInterrupt
+        self.requested = True
+
+
+class PlainDisplay:
+    """Lines of text, for files and pipes."""
+
+    def __init__(self, output: Console, errors: Console, *, interval: float = _PLAIN_INTERVAL) -> None:
+        """``interval``: seconds between two lines of progress."""
+        self._output, self._errors, self._interval = output, errors, interval
+        self._name, self._total, self._done = "", None, 0
+        self._started = self._shown = 0.0
 
     def note(self, line: str) -> None:
-        _print(self._console, line)
+        _print(self._output, line)
 
     def warn(self, line: str) -> None:
-        _log.warning("%s", line)
+        _print(self._errors, f"warning: {line}")
+
+    def stage(self, name: str, total: int | None = None) -> None:
+        self._name, self._total, self._done = name, total, 0
+        self._started = self._shown = time.monotonic()
+        self.note(name)
+
+    def advance(self, status: str = "") -> None:
+        self._done += 1
+        now = time.monotonic()
+        if now - self._shown < self._interval and self._done != self._total:
+            return
+        self._shown = now
+        parts = [f"{self._name}: {self._done}/{self._total}", status]
+        if self._total is not None and self._done < self._total:
+            parts.append(f"{(now - self._started) / self._done * (self._total - self._done):.0f} s left")
+        self.note(", ".join(p for p in parts if p))
+
+    def close(self) -> None:
+        pass
+
+    def results(self, metrics: dict[str, Any], groups: dict[str, list[str]]) -> None:
+        for key in [k for keys in groups.values() for k in keys]:
+            _print(self._output, f"{key} {_text(metrics[key])}")
+
+    def conclude(self, line: str) -> None:
+        _print(self._output, line)
+
+
+class QuietDisplay(PlainDisplay):
+    """Warnings and the closing lines alone."""
+
+    def note(self, line: str) -> None:
+        pass
+
+
+class TerminalDisplay(PlainDisplay):
+    """A live progress line and a table."""
+
+    def __init__(self, output: Console, errors: Console) -> None:
+        super().__init__(output, errors)
+        # A terminal of 80 columns must have room for a whole status line.
+        bar = [BarColumn(bar_width=24)] if output.width >= _WIDE else []
+        self._progress = Progress(
+            SpinnerColumn(),
+            TextColumn("{task.description}", markup=False),
+            *bar,
+            TextColumn("{task.fields[count]}", markup=False),
+            TimeRemainingColumn(compact=True),
+            TextColumn("{task.fields[status]}", markup=False),
+            console=output,
+            transient=True,
+            redirect_stderr=errors.is_terminal,
+        )
+        self._task: Any = None
+        # Beside the live line only the console that draws it can write without tearing it.
+        self._warnings = output if errors.is_terminal else errors
+
+    def warn(self, line: str) -> None:
+        _print(self._warnings, f"warning: {line}")
 
     def stage(self, name: str, total: int | None = None) -> None:
         self._progress.start()
@@ -121,56 +217,20 @@ class TerminalDisplay:
         self._progress.stop()
 
     def results(self, metrics: dict[str, Any], groups: dict[str, list[str]]) -> None:
-        table = Table(show_header=False, title=f"{metrics['sequence']} ({metrics['dataset']})")
+        title = Text(f"{metrics['sequence']} ({metrics['dataset']})")
+        table = Table(show_header=False, title=title)
         table.add_column()
         table.add_column(justify="right")
-        for title, keys in groups.items():
+        for group, keys in groups.items():
             table.add_section()
-            table.add_row(f"[bold]{title}", "")
+            table.add_row(Text(group, style="bold"), "")
             for key in keys:
-                table.add_row(key, _text(metrics[key]))
-        self._console.print(table)
-
-
-class PlainDisplay:
-    """Lines of text, for files and pipes."""
-
-    def __init__(self) -> None:
-        self._name, self._total, self._done = "", None, 0
-        self._started = self._shown = 0.0
-
-    def note(self, line: str) -> None:
-        print(line, flush=True)
-
-    def warn(self, line: str) -> None:
-        _log.warning("%s", line)
-
-    def stage(self, name: str, total: int | None = None) -> None:
-        self._name, self._total, self._done = name, total, 0
-        self._started = self._shown = time.monotonic()
-        print(name, flush=True)
-
-    def advance(self, status: str = "") -> None:
-        self._done += 1
-        now = time.monotonic()
-        if now - self._shown < _PLAIN_INTERVAL and self._done != self._total:
-            return
-        self._shown = now
-        parts = [f"{self._name}: {self._done}/{self._total}", status]
-        if self._total is not None and self._done < self._total:
-            parts.append(f"{(now - self._started) / self._done * (self._total - self._done):.0f} s left")
-        print(", ".join(p for p in parts if p), flush=True)
-
-    def close(self) -> None:
-        pass
-
-    def results(self, metrics: dict[str, Any], groups: dict[str, list[str]]) -> None:
-        for key in [k for keys in groups.values() for k in keys]:
-            print(f"{key} {_text(metrics[key])}", flush=True)
+                table.add_row(key, Text(_text(metrics[key])))
+        self._output.print(table)
 
 
 def _print(console: Console, line: str) -> None:
-    console.print(line, markup=False, highlight=False, soft_wrap=True)
+    console.print(Text(line), soft_wrap=True)
 
 
 def _text(value: Any) -> str:

@@ -1,57 +1,279 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A run from the first frame to the saved results, with everything built."""
+"""A run from its data to the saved results."""
 
 from __future__ import annotations
 
 import dataclasses
 import itertools
-import signal
 import time
 from collections.abc import Iterator
-from pathlib import Path
-from types import FrameType, TracebackType
-from typing import Any
 
-from ggwarp.console import Display
-from ggwarp.datasets import BadFrame, FrameReader
+import ggwarp
+from ggwarp import messages
+from ggwarp.config import ConfigError, RunConfig, frame_indices, resolve_config
+from ggwarp.console import Display, Interruption
+from ggwarp.datasets import (
+    BadFrame,
+    DatasetError,
+    FrameReader,
+    WithoutDepth,
+    open_dataset,
+)
 from ggwarp.evaluation.evaluate import FrameScore
 from ggwarp.evaluation.evaluate import evaluate as compare
 from ggwarp.evaluation.image import open_lpips
+from ggwarp.io.camera import write_camera
+from ggwarp.io.toml import write_toml
 from ggwarp.pipeline.runner import SideError, run_steps
+from ggwarp.pipeline.scheduler import LiveScheduler, Scheduler, UncappedScheduler
 from ggwarp.pipeline.slam import Slam
 from ggwarp.results import run_folder
-from ggwarp.results.metrics import metrics_of
+from ggwarp.results.metrics import RESULTS, metrics_of
 from ggwarp.results.record import RunRecord
 from ggwarp.results.renders import RenderWriter
 from ggwarp.runtime import loading
 from ggwarp.types import Frame, Rendered, StepReport, Verdict
 
+DONE, FAILED, INTERRUPTED = 0, 1, 130
+"""Exit codes."""
+
 _KEPT_BYTES = 1 << 29  # frames held for the evaluation instead of being read again
 _FRAME_BYTES = 3 + 4 + 4 + 4  # a pixel's colour, depth, mask and true mask
 
 
-class Interruption:
-    """Turns the first Ctrl-C into a request to stop after the current step; a second one kills."""
+class Session:
+    """One run, from its data to the saved results.
 
-    requested = False
+    Attributes:
+        config: of the run; after :meth:`open`, with nothing left open.
+        record: what the run has gathered so far, the map aside.
+        folder: where the results go.
+    """
 
-    def __enter__(self) -> Interruption:
-        try:
-            self._previous = signal.signal(signal.SIGINT, self._request)
-        except ValueError:  # not the main thread: signals are the caller's business
-            self._previous = None
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    def __init__(
+        self,
+        config: RunConfig,
+        display: Display,
+        interruption: Interruption | None = None,
+        *,
+        started: float | None = None,
     ) -> None:
-        if self._previous is not None:
-            signal.signal(signal.SIGINT, self._previous)
+        """Make a session that has done nothing yet.
 
-    def _request(self, number: int, frame: FrameType | None) -> None:
-        if self.requested:
-            raise KeyboardInterrupt
-        self.requested = True
+        Args:
+            config: checked, see :func:`ggwarp.config.check`.
+            interruption: tells of Ctrl-C; None: there is none.
+            started: time.perf_counter() at the command's start; None: now.
+        """
+        self.config = config
+        self._display = display
+        self._interruption = interruption or Interruption()
+        self._started = time.perf_counter() if started is None else started
+
+    def run(self) -> int:
+        """Run it and return the exit code: 0, 1 (failed on the way) or 130 (interrupted).
+
+        Raises:
+            ConfigError, DatasetError, OSError: it cannot be done as it is asked for.
+        """
+        self.open()
+        self.prepare()
+        self.track_and_map()
+        self.refine()
+        self.evaluate()
+        self.save()
+        return self.show()
+
+    def open(self) -> None:
+        """Find the data, resolve the configuration for it, and make the run folder."""
+        asked, display = self.config, self._display
+        display.note(f"ggwarp {ggwarp.__version__}: {asked.seq}, preset {asked.preset}")
+        loading.init_quietly()
+        seq = asked.seq
+        assert seq is not None, "check() has seen to it"
+        dataset = open_dataset(
+            seq,
+            data_root=asked.data_root(),
+            masks=asked.mask_folder,
+            faults=asked.built_in,
+            intrinsics=asked.intrinsics,
+        )
+        if not len(dataset):
+            raise DatasetError(f"{seq}: the sequence is empty")
+        self.config = config = resolve_config(asked, dataset)
+        self._dataset = WithoutDepth(dataset) if config.slam.mono else dataset
+        self._indices = frame_indices(config.frames, len(dataset))
+        self._name = seq if dataset.kind == "synthetic" else dataset.name
+        self.folder = run_folder.create_run_folder(config.out, self._name)
+        write_toml(dataclasses.replace(config, out=None), self.folder / "config.toml")
+        for line in messages.introduction(asked, config, dataset, len(self._indices)):
+            display.note(line)
+
+    def prepare(self) -> None:
+        """Build the system and load its kernels."""
+        config, dataset = self.config, self._dataset
+        self._reader = FrameReader(dataset, self._indices, scale=config.scale or 1.0)
+        write_camera(self.folder / "camera.json", self._reader.camera)
+        self._slam = Slam(
+            config.slam,
+            self._reader.camera,
+            self._reader.sensor_camera,
+            device=config.device,
+            scheduler=_scheduler(config, len(self._indices)),
+        )
+        self._concurrent = _concurrent(config, self._slam)
+        load_kernels(config.device, self._display)
+        # The objects of untracked masks are numbered by the map.
+        names = getattr(dataset, "class_names", {}) if config.slam.masks_kind == "tracked" else {}
+        self.record = RunRecord(
+            self._name, dataset.kind, config.device, class_names=names, monocular=config.slam.mono
+        )
+
+    def track_and_map(self) -> None:
+        """Process the frames; a failure of either side ends the loop and is kept in the record.
+
+        Raises:
+            DatasetError: no frame could be used.
+            KeyboardInterrupt: it was interrupted before the first one.
+        """
+        reader, record = self._reader, self.record
+        size = len(reader) * reader.camera.width * reader.camera.height * _FRAME_BYTES
+        self._kept: list[Frame] = []  # for the evaluation; empty where they are too many to hold
+        self._display.stage("frames", len(reader))
+        started = time.perf_counter()
+        try:
+            with reader:
+                steps = run_steps(
+                    self._slam, reader, concurrent=self._concurrent, stopped=lambda: self._stopped
+                )
+                for item, step in steps:
+                    if step is None:
+                        self._skip(item)
+                        continue
+                    self._take(item, step, started)
+                    if size <= _KEPT_BYTES:
+                        self._kept.append(dataclasses.replace(item, sensor_depth=None))
+        except SideError as error:
+            record.failure = error
+        record.loop_s = time.perf_counter() - started
+        record.counts = dict(self._slam.counts)
+        if late := messages.lateness(record.reports):
+            self._display.warn(late)
+        if not record.reports and record.failure is None:
+            if self._stopped:
+                raise KeyboardInterrupt
+            first = next(iter(record.skipped.values()))
+            raise DatasetError(f"{self._dataset.name}: no frame could be used; the first: {first}")
+
+    def refine(self) -> None:
+        """Fit the finished map some iterations more; Ctrl-C ends that early and the run goes on.
+
+        Not after an interrupted or failed run. A failure is kept in the record.
+        """
+        iterations, record = self.config.refine, self.record
+        if iterations and self._slam.can_refine and not self._ended:
+            self._display.stage("refining", iterations)
+            started = time.perf_counter()
+            while record.refine_iterations < iterations and not self._stopped:
+                try:
+                    self._slam.refine()
+                except Exception as error:
+                    record.failure = SideError("refinement", f"at iteration {record.refine_iterations}")
+                    record.failure.__cause__ = error
+                    break
+                record.refine_iterations += 1
+                self._display.advance()
+            record.refine_s = time.perf_counter() - started
+            if self._stopped:
+                self._interruption.requested = False
+                done = f"{record.refine_iterations} of {iterations} iterations"
+                self._display.note(f"refinement ended after {done}")
+        if record.failure is not None:
+            self._display.close()
+            messages.explain(record.failure)  # first: what follows may fail for the same reason
+        record.correct(self._slam.fitted_poses())
+
+    def evaluate(self) -> None:
+        """Compare the map with the frames and save renders; not after an interrupted or failed run."""
+        if self._ended:
+            return
+        record, every = self.record, self.config.save_renders
+        saved = {r.index for r in record.reports[::every]} if every else set()
+        writer = RenderWriter(self.folder / "renders", self._slam.map_arrays().identities)
+        self._display.stage("evaluating", len(record.reports))
+
+        def on_view(frame: Frame, view: Rendered, score: FrameScore) -> None:
+            self._display.advance()
+            if frame.index in saved:
+                writer.write(frame.index, view)
+
+        evaluation = compare(
+            itertools.takewhile(lambda _: not self._stopped, self._kept or self._frames_again()),
+            record.poses(),
+            self._slam.render,
+            mapped=self._slam.keyframe_indices,
+            watched=self._slam.voting_indices,
+            lpips=open_lpips(),
+            on_view=on_view,
+        )
+        if not self._stopped:
+            record.evaluation = evaluation
+
+    def save(self) -> None:
+        """Write the run folder."""
+        slam, record, folder = self._slam, self.record, self.folder
+        self._display.stage("saving")
+        # The trajectory first: where the device has failed, the map cannot be had.
+        run_folder.write_trajectories(folder, record)
+        arrays = slam.map_arrays()
+        run_folder.write_map(folder, arrays, slam.objects(record.class_names), slam.linear_classifier())
+        run_folder.write_frames(folder, record)
+        run_folder.write_object_scores(folder, record)
+        wall_s = time.perf_counter() - self._started
+        self._metrics = metrics_of(record, wall_s=wall_s, gaussians=len(arrays))
+        run_folder.write_metrics(folder, self._metrics)
+
+    def show(self) -> int:
+        """Say how the run ended, with its figures where it is complete; return the exit code."""
+        display = self._display
+        display.close()
+        share = f"{len(self.record.reports)} of {len(self._indices)} frames"
+        if self.record.failure is not None:
+            display.conclude(f"failed after {share}; saved in {self.folder}")
+            return FAILED
+        if self._stopped:
+            display.conclude(f"interrupted after {share}; saved in {self.folder}")
+            return INTERRUPTED
+        display.results(self._metrics, RESULTS)
+        display.conclude(f"results in {self.folder}")
+        return DONE
+
+    @property
+    def _stopped(self) -> bool:
+        return self._interruption.requested
+
+    @property
+    def _ended(self) -> bool:
+        return self._stopped or self.record.failure is not None
+
+    def _take(self, frame: Frame, step: StepReport, started: float) -> None:
+        """Add a processed frame to the record, and show it."""
+        reports = self.record.reports
+        reports.append(step)
+        if frame.T_wc is not None:
+            self.record.truth[frame.index] = frame.T_wc
+        if step.verdict is Verdict.LOST:
+            self._display.warn(f"frame {frame.index} lost: {step.reason}")
+        self._display.advance(messages.status(step, len(reports) / (time.perf_counter() - started)))
+
+    def _skip(self, frame: BadFrame) -> None:
+        self.record.skipped[frame.index] = frame.reason
+        self._display.advance(f"frame {frame.index} skipped")
+        self._display.warn(f"frame {frame.index} skipped: {frame.reason}")
+
+    def _frames_again(self) -> Iterator[Frame]:
+        with self._reader as reader:
+            yield from (f for f in reader if isinstance(f, Frame))
 
 
 def load_kernels(device: str, display: Display) -> None:
@@ -62,151 +284,24 @@ def load_kernels(device: str, display: Display) -> None:
     loading.load(modules, device)
 
 
-def track_and_map(
-    slam: Slam,
-    reader: FrameReader,
-    record: RunRecord,
-    display: Display,
-    interruption: Interruption,
-    *,
-    concurrent: bool = False,
-) -> list[Frame]:
-    """Process the frames into ``record``; a failure of either side ends the loop and is kept there.
+def _scheduler(config: RunConfig, frames: int) -> Scheduler | None:
+    """Return what paces the run; None: a fixed amount of mapping a frame."""
+    if config.fps is None:
+        return None
+    return UncappedScheduler() if config.fps == "uncapped" else LiveScheduler(config.fps, frames=frames)
 
-    Args:
-        concurrent: track in a second thread, beside the mapper.
 
-    Returns:
-        The frames, for the evaluation; none when they are too many to hold in memory.
+def _concurrent(config: RunConfig, slam: Slam) -> bool:
+    """Return whether to track beside the mapper.
+
+    Raises:
+        ConfigError: it is asked for, but tracking needs what is being mapped.
     """
-    size = len(reader) * reader.camera.width * reader.camera.height * _FRAME_BYTES
-    kept: list[Frame] = []
-    display.stage("frames", len(reader))
-    started = time.perf_counter()
-    try:
-        for item, step in run_steps(
-            slam, reader, concurrent=concurrent, stopped=lambda: interruption.requested
-        ):
-            if step is None:
-                _skip(item, record, display)
-                continue
-            record.reports.append(step)
-            if item.T_wc is not None:
-                record.truth[item.index] = item.T_wc
-            if size <= _KEPT_BYTES:
-                kept.append(dataclasses.replace(item, sensor_depth=None))
-            if step.verdict is Verdict.LOST:
-                display.warn(f"frame {item.index} lost: {step.reason}")
-            display.advance(_status(step, len(record.reports) / (time.perf_counter() - started)))
-    except SideError as error:
-        record.failure = error
-    record.loop_s = time.perf_counter() - started
-    record.counts = dict(slam.counts)
-    late = [r for r in record.reports if r.late_ms > 0.0]
-    if late:
-        behind = max(r.frames_behind for r in late)
-        display.warn(
-            f"{len(late)} of {len(record.reports)} frames were taken up late, by up to "
-            f"{max(r.late_ms for r in late):.0f} ms"
-            + (f", with up to {behind} newer ones waiting" if behind else "")
+    if config.pipelined == "on" and slam.sequential_only:
+        raise ConfigError(
+            "--pipelined on: here tracking looks at the Gaussians being mapped, and works in turn with "
+            "mapping; leave the option out"
         )
-    return kept
-
-
-def _skip(frame: BadFrame, record: RunRecord, display: Display) -> None:
-    record.skipped[frame.index] = frame.reason
-    display.advance(f"frame {frame.index} skipped")
-    display.warn(f"frame {frame.index} skipped: {frame.reason}")
-
-
-def _status(step: StepReport, fps: float) -> str:
-    late = f", {step.late_ms:.0f} ms late" if step.late_ms else ""
-    return (
-        f"{fps:.1f} fps{late}, tracking {step.tracking_ms:.0f} ms, mapping {step.mapping_ms:.0f} ms, "
-        f"{step.gaussians / 1000:.1f}k Gaussians"
-    )
-
-
-def refine(
-    slam: Slam, iterations: int, record: RunRecord, display: Display, interruption: Interruption
-) -> None:
-    """Fit the finished map ``iterations`` times more; Ctrl-C ends that early and the run goes on.
-
-    Not after an interrupted or failed run. A failure is kept in ``record``.
-    """
-    if not iterations or not slam.can_refine or interruption.requested or record.failure is not None:
-        return
-    display.stage("refining", iterations)
-    started = time.perf_counter()
-    while record.refine_iterations < iterations and not interruption.requested:
-        try:
-            slam.refine()
-        except Exception as error:
-            record.failure = SideError("refinement", f"at iteration {record.refine_iterations}")
-            record.failure.__cause__ = error
-            break
-        record.refine_iterations += 1
-        display.advance()
-    record.refine_s = time.perf_counter() - started
-    if interruption.requested:
-        interruption.requested = False
-        display.note(f"refinement ended after {record.refine_iterations} of {iterations} iterations")
-
-
-def _frames(reader: FrameReader) -> Iterator[Frame]:
-    with reader:
-        yield from (f for f in reader if isinstance(f, Frame))
-
-
-def evaluate(
-    slam: Slam,
-    reader: FrameReader,
-    kept: list[Frame],
-    record: RunRecord,
-    folder: Path,
-    display: Display,
-    interruption: Interruption,
-    *,
-    every: int,
-) -> None:
-    """Compare the map with the frames and save renders; an interrupted or failed run is not compared.
-
-    Args:
-        kept: the frames; empty: they are read again by ``reader``.
-        folder: the run folder.
-        every: save the renders of every so many frames; 0: of none.
-    """
-    if interruption.requested or record.failure is not None:
-        return
-    saved = {r.index for r in record.reports[::every]} if every else set()
-    writer = RenderWriter(folder / "renders", slam.map_arrays().identities)
-    display.stage("evaluating", len(record.reports))
-
-    def on_view(frame: Frame, view: Rendered, score: FrameScore) -> None:
-        display.advance()
-        if frame.index in saved:
-            writer.write(frame.index, view)
-
-    evaluation = compare(
-        itertools.takewhile(lambda _: not interruption.requested, kept or _frames(reader)),
-        record.poses(),
-        slam.render,
-        mapped=slam.keyframe_indices,
-        watched=slam.voting_indices,
-        lpips=open_lpips(),
-        on_view=on_view,
-    )
-    if not interruption.requested:
-        record.evaluation = evaluation
-
-
-def save(slam: Slam, record: RunRecord, folder: Path, started: float) -> dict[str, Any]:
-    """Write the run folder and return what ``metrics.json`` holds."""
-    run_folder.write_trajectories(folder, record)  # first: where the device has failed, the map cannot be had
-    arrays = slam.map_arrays()
-    run_folder.write_map(folder, arrays, slam.objects(record.class_names), slam.linear_classifier())
-    run_folder.write_frames(folder, record)
-    run_folder.write_object_scores(folder, record)
-    metrics = metrics_of(record, wall_s=time.perf_counter() - started, gaussians=len(arrays))
-    run_folder.write_metrics(folder, metrics)
-    return metrics
+    if config.pipelined == "auto":
+        return config.fps == "uncapped" and not slam.sequential_only
+    return config.pipelined == "on"

@@ -36,12 +36,12 @@ ALLOWED: dict[str, set[str]] = {
     "pipeline": _MAP | {"objects", "io", "results", *_SYSTEM},
     "results": _VALUES | {"map", "io", "objects", "evaluation"},
     "editing": _MAP | {"io", "objects", "evaluation", "results"},
-    "config": {"types", "geometry", "io", "datasets", *_SYSTEM},
-    "monocular": {"config", *_SYSTEM},
+    "config": {"types", "geometry", "io", "datasets", "console", *_SYSTEM},
     "console": set(),
-    "session": {"types", "runtime", "datasets", "evaluation", "results", "console", *_SYSTEM},
-    "run": {"types", "runtime", "io", "datasets", "results", "config", "monocular", "console", "session"}
-    | _SYSTEM,
+    "messages": {"types", "config", "datasets"},
+    "session": {"types", "runtime", "io", "datasets", "evaluation", "results"}
+    | {"config", "console", "messages", *_SYSTEM},
+    "run": {"datasets", "config", "console", "session"},
     "commands": {"types", "geometry", "runtime", "datasets", "evaluation", *_SYSTEM},
 }  # fmt: skip
 """Room -> the rooms it may import (itself aside). A room is a folder and all in it, or a file at the top."""

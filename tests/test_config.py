@@ -8,8 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ggwarp import config as c
+from ggwarp.datasets.base import WithoutDepth, WithoutMasks
+from ggwarp.datasets.built_in.synthetic import SyntheticOffice
 from ggwarp.geometry.camera import Camera
 from ggwarp.io.toml import write_toml
+from ggwarp.pipeline.slam import Slam, SlamConfig
 from ggwarp.pipeline.tracking.tracker import TRACKERS
 
 PRESETS = ["gg-slam", "gs-icp", "fast", "quality"]
@@ -31,14 +34,14 @@ def test_saved_configurations_come_back(name, tmp_path):
 
 def test_presets_differ_where_they_say():
     gg = c.preset_config("gg-slam")
-    assert gg == c.RunConfig() and gg.slam().use_identity
-    assert not c.preset_config("gs-icp").slam().use_identity
-    fast, quality = (c.preset_config(n).mapper.iterations for n in ("fast", "quality"))
-    assert fast < gg.mapper.iterations < quality
+    assert gg == c.RunConfig() and gg.slam.use_identity
+    assert not c.preset_config("gs-icp").slam.use_identity
+    fast, quality = (c.preset_config(n).slam.mapper.iterations for n in ("fast", "quality"))
+    assert fast < gg.slam.mapper.iterations < quality
 
 
 def test_monogs_tracks_by_rendering_and_fits_poses():
-    slam = c.preset_config("monogs").slam()
+    slam = c.preset_config("monogs").slam
     assert (slam.tracker, slam.policy, slam.use_identity) == ("photometric", "covisibility", False)
     assert all(rate > 0 for rate in slam.mapper.pose_rates) and slam.mapper.isotropic_weight > 0
 
@@ -51,40 +54,52 @@ def test_every_preset_is_there():
 
 
 def test_keyframes_by_overlap_need_a_tracker_with_points():
+    camera = _camera(64, 48)
     for kind in TRACKERS:
         wanted = "covisibility" if kind == "photometric" else "overlap"
-        assert c.RunConfig(tracker=kind).slam().policy == wanted
+        assert Slam(SlamConfig(tracker=kind), camera, camera).config.policy == wanted
     with pytest.raises(c.ConfigError, match="--policy overlap"):
-        c.check(c.RunConfig(seq="x", tracker="photometric", policy="overlap"))
-
-
-def test_the_slam_part_is_composed():
-    config = c.RunConfig(tracker="ground-truth")
-    slam = config.slam()
-    assert slam.tracker == "ground-truth"
-    for part in ("gicp", "refinement", "initialisation", "keyframes", "trackable", "mapper"):
-        assert getattr(slam, part) is getattr(config, part)
+        c.check(c.RunConfig(seq="x", slam=SlamConfig(tracker="photometric", policy="overlap")))
 
 
 def test_untracked_masks_are_the_sequence_s_own_or_a_folder_s():
-    own, folder = c.RunConfig(masks="untracked"), c.RunConfig(masks="dir", masks_kind="untracked")
+    office = SyntheticOffice(scale=0.1)
+    own = c.RunConfig(masks="untracked")
+    folder = c.RunConfig(masks="dir", slam=SlamConfig(masks_kind="untracked"))
     assert own.mask_folder is None and folder.mask_folder == "dir"
-    assert not own.slam().tracked_masks and not folder.slam().tracked_masks
-    assert c.RunConfig(masks="dir").slam().tracked_masks
+    for config, kind in ((own, "untracked"), (folder, "untracked"), (c.RunConfig(masks="dir"), "tracked")):
+        assert c.resolve_config(config, office).slam.masks_kind == kind
+
+
+def test_what_is_left_open_is_resolved_for_a_data_set():
+    office = SyntheticOffice(scale=0.1)
+    used = c.resolve_config(c.RunConfig(seq="office", frames="0:45", device="cpu"), office)
+    assert (used.device, used.scale, used.save_renders) == ("cpu", 1.0, 5)
+    assert used.slam == SlamConfig() and c.resolve_config(used, office) == used
+    given = c.resolve_config(c.RunConfig(scale=0.5, save_renders=0, device="cpu"), office)
+    assert (given.scale, given.save_renders) == (0.5, 0)
+
+
+def test_what_the_data_lacks_is_not_learnt():
+    office = SyntheticOffice(scale=0.1)
+    assert not c.resolve_config(c.RunConfig(), WithoutMasks(office)).slam.use_identity
+    used = c.resolve_config(c.RunConfig(), WithoutDepth(office)).slam
+    assert used.mono and used.tracker == "photometric" and not used.use_identity
 
 
 def test_a_file_starts_from_its_preset(tmp_path):
     path = tmp_path / "c.toml"
-    path.write_text('preset = "gs-icp"\n[mapper]\niterations = 77\n')
+    path.write_text('preset = "gs-icp"\n[slam.mapper]\niterations = 77\n')
     config = c.load_config(path)
-    assert not config.use_identity and config.mapper.iterations == 77
+    assert not config.slam.use_identity and config.slam.mapper.iterations == 77
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("sequence = 1", "unknown key 'sequence'"),
-        ("[mapper]\niteration = 1", "unknown key 'mapper.iteration'"),
+        ("[slam.mapper]\niteration = 1", "unknown key 'slam.mapper.iteration'"),
+        ("[mapper]\niterations = 1", "unknown key 'mapper'"),
         ("scale = true", "scale = True"),
         ('preset = "mono"', "preset"),
     ],

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 import pytest
 
-from ggwarp import config, run
+from ggwarp import config, run, session
 from ggwarp.geometry.camera import Camera
 from ggwarp.io.ply import read_ply
 from ggwarp.io.trajectory import read_tum
@@ -126,8 +126,8 @@ class FakeSlam:
 def fake(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("GGWARP_DATA", raising=False)
-    monkeypatch.setattr(run, "Slam", FakeSlam)
-    monkeypatch.setattr(run, "load_kernels", lambda device, display: None)
+    monkeypatch.setattr(session, "Slam", FakeSlam)
+    monkeypatch.setattr(session, "load_kernels", lambda device, display: None)
     return FakeSlam
 
 
@@ -168,7 +168,7 @@ def test_its_configuration_runs_again(scene, fake, tmp_path):
     assert saved.device == "cpu" and saved.scale == 1.0 and saved.out is None
     assert run.main(["--config", "one/config.toml", "--out", "two", "--mapper.iterations", "5"]) == 0
     again = config.load_config(Path("two/config.toml"))
-    assert again.frames == "1:5:2" and again.mapper.iterations == 5
+    assert again.frames == "1:5:2" and again.slam.mapper.iterations == 5
     rows = list(csv.DictReader(Path("two/frames.csv").open(newline="")))
     assert [r["index"] for r in rows] == ["1", "3"]
     assert Path("two/renders/frame000003_rgb.png").is_file()  # numbered as in the sequence
@@ -177,8 +177,8 @@ def test_its_configuration_runs_again(scene, fake, tmp_path):
 
 def test_live_modes_have_their_schedulers(scene, fake, monkeypatch):
     made = []
-    monkeypatch.setattr(run, "LiveScheduler", lambda fps, frames: made.append(fps) or SimpleNamespace())
-    monkeypatch.setattr(run, "UncappedScheduler", lambda: made.append("uncapped") or SimpleNamespace())
+    monkeypatch.setattr(session, "LiveScheduler", lambda fps, frames: made.append(fps) or SimpleNamespace())
+    monkeypatch.setattr(session, "UncappedScheduler", lambda: made.append("uncapped") or SimpleNamespace())
     for fps in ("30", "uncapped"):
         assert run.main(["--seq", "room9", "--device", "cpu", "--fps", fps, "--out", "o"]) == 0
         assert run.main(["--config", "o/config.toml", "--out", "again"]) == 0
@@ -313,8 +313,8 @@ def test_without_depth_the_run_is_monocular(scene, fake, capsys, told):
     assert run.main([*arguments, "--mono"] if told else arguments) == 0
     assert "no depth: tracking by colour alone" in capsys.readouterr().out
     used = config.load_config(Path("o/config.toml"))
-    assert used.mono and used.tracker == "photometric" and not used.slam().use_identity
-    assert used.mapper.iterations == 3, "what is given stays"
+    assert used.slam.mono and used.slam.tracker == "photometric" and not used.slam.use_identity
+    assert used.slam.mapper.iterations == 3, "what is given stays"
     metrics = json.loads(Path("o/metrics.json").read_text())
     assert metrics["alignment"] == "sim3" and metrics["scale"] == pytest.approx(1.0)
     assert metrics["depth_l1_cm"] is None and metrics["psnr"] is not None

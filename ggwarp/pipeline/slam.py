@@ -44,8 +44,6 @@ from ggwarp.runtime import loading
 from ggwarp.runtime.streams import NO_LOCK, stream_scopes
 from ggwarp.types import Float64, Frame, Rendered, StepReport, TrackResult
 
-KeyframePolicyKind = Literal["overlap", "covisibility"]
-
 
 @dataclass(frozen=True)
 class SlamConfig(TrackingConfig):
@@ -54,16 +52,18 @@ class SlamConfig(TrackingConfig):
     keyframes: KeyframeConfig = field(default_factory=KeyframeConfig)
     trackable: TrackableConfig = field(default_factory=TrackableConfig)
     mapper: MapperConfig = field(default_factory=MapperConfig)
-    policy: KeyframePolicyKind = "overlap"
-    """Keyframes by overlap with the trackable points (GG-SLAM), or by covisibility, in a window (MonoGS)."""
+    policy: Literal["auto", "overlap", "covisibility"] = "auto"
+    """How keyframes are chosen: by overlap with the trackable points, or by covisibility. The latter keeps a
+    window that is fitted together (MonoGS). The word auto means covisibility with --tracker photometric."""
     covisibility: CovisibilityConfig = field(default_factory=CovisibilityConfig)
     window: WindowConfig = field(default_factory=WindowConfig)
-    monocular: bool = False
-    """Frames have no depth."""
+    mono: bool = False
+    """Leave depth images aside: the map has no scale of its own. Always so where there are none."""
     use_identity: bool = True
-    """Learn which object each Gaussian belongs to (GG-SLAM); False is GS-ICP-SLAM."""
-    tracked_masks: bool = True
-    """The masks' ids mean the same object in every frame; else objects are found again by the map."""
+    """Learn which object each Gaussian belongs to (GG-SLAM); without, this is GS-ICP-SLAM."""
+    masks_kind: Literal["tracked", "untracked"] = "tracked"
+    """What the masks' ids say: tracked, the same object in every frame, or untracked, nothing across frames.
+    Segmenters of single images write the latter; the map then finds the objects again."""
 
 
 class Slam:
@@ -91,10 +91,10 @@ class Slam:
         Args:
             camera: of the frames' ``rgb``, ``depth`` and ``mask``.
             sensor_camera: of the frames' ``sensor_depth``.
-            scheduler: when frames come and how much mapping they get; default: ``config.mapper.iterations``
-                each.
+            scheduler: when frames come and how much mapping they get; None: ``config.mapper.iterations``.
         """
-        self.config = config
+        chosen = "covisibility" if config.tracker == "photometric" else "overlap"
+        self.config = dataclasses.replace(config, policy=chosen) if config.policy == "auto" else config
         self.device = device
         self.camera, self._sensor_camera = camera, sensor_camera
         self._scheduler = scheduler or SynchronousScheduler(config.mapper.iterations)
@@ -114,9 +114,9 @@ class Slam:
             camera,
             device=device,
             use_identity=config.use_identity,
-            tracked_masks=config.tracked_masks,
+            tracked_masks=config.masks_kind == "tracked",
             window=config.window if config.policy == "covisibility" else None,
-            monocular=config.monocular,
+            monocular=config.mono,
         )
         self.map = self._mapper.map
         self._policy: KeyframePolicy = OverlapKeyframes(config.keyframes)
@@ -124,7 +124,7 @@ class Slam:
             self._policy = CovisibilityKeyframes(config.covisibility, self._mapper.covisibility.look)
         renderer = Renderer(self.map, camera, identity=False)
         self._tracker = make_tracker(
-            TrackerContext(config, camera, self._sensor_camera, renderer, device, config.monocular)
+            TrackerContext(config, camera, self._sensor_camera, renderer, device, config.mono)
         )
 
     def step(self, frame: Frame) -> StepReport:

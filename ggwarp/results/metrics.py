@@ -13,6 +13,56 @@ from ggwarp.evaluation.trajectory import TrajectoryError, absolute_error, relati
 from ggwarp.results.record import RunRecord
 from ggwarp.types import Verdict
 
+RESULTS = {
+    "trajectory": [
+        "frames",
+        "frames_lost",
+        "frames_skipped",
+        "alignment",
+        "ate_rmse_cm",
+        "ate_mean_cm",
+        "rpe_rmse_cm",
+    ],
+    "picture, all frames": ["psnr", "psnr_exposed", "ssim", "lpips", "depth_l1_cm"],
+    "picture, held-out frames": [
+        "heldout_psnr",
+        "heldout_psnr_exposed",
+        "heldout_ssim",
+        "heldout_lpips",
+        "heldout_depth_l1_cm",
+    ],
+    "objects": [
+        "miou",
+        "heldout_miou",
+        "miou_matched",
+        "miou_interior",
+        "pq",
+        "objects_true",
+        "objects_found",
+        "miou_against",
+    ],
+    "map": [
+        "gaussians",
+        "tracking_keyframes",
+        "mapping_keyframes",
+        "mapping_iterations",
+        "refine_iterations",
+    ],
+    "pace": [
+        "fps",
+        "tracking_ms",
+        "latency_ms_p50",
+        "latency_ms_p95",
+        "frames_late",
+        "late_ms_max",
+        "frames_behind_max",
+        "mapping_ms",
+        "iterations_per_frame",
+    ],
+    "time and memory": ["refine_s", "wall_s", "peak_memory_mb"],
+}
+"""What the closing table shows, and in which order."""
+
 _IMAGE_FIGURES = (
     *("psnr", "psnr_exposed", "ssim", "lpips", "depth_l1_cm"),
     *("miou", "miou_matched", "miou_interior", "pixel_accuracy"),

@@ -12,18 +12,20 @@ from benchmarking import sweep, system
 from benchmarking.options import check_out, new_record
 from benchmarking.runs import SYNCHRONOUS, Outcome, RunSpec, accepts, execute
 from benchmarking.timed_run import Clock
-from ggwarp.run import parse
+from ggwarp.config.command_line import parse
 
 METRICS = {"frames": 20, "fps": 4.0, "mapping_iterations": 200, "psnr": 30.0, "dataset": "replica"}
 
 
 def test_a_run_s_options_are_the_command_s(tmp_path: Path):
     spec = RunSpec("room0", "fast", "30", "0:8", 0.5, tmp_path, "cpu")
-    config = parse(spec.arguments(tmp_path / "out"))
+    config = parse(spec.arguments(tmp_path / "out")).run
     assert (config.seq, config.preset, config.fps, config.frames) == ("room0", "fast", 30.0, "0:8")
     assert (config.scale, config.data, config.device) == (0.5, tmp_path, "cpu")
-    assert config.mapper.iterations < parse(["--seq", "room0"]).mapper.iterations, "the preset's own"
-    assert parse(RunSpec("room0").arguments(tmp_path)).fps is None
+    assert config.slam.mapper.iterations < parse(["--seq", "room0"]).run.slam.mapper.iterations, (
+        "the preset's own"
+    )
+    assert parse(RunSpec("room0").arguments(tmp_path)).run.fps is None
 
 
 def test_caps_that_the_command_does_not_know_are_told():

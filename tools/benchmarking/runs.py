@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from ggwarp.config import ConfigError
-from ggwarp.run import parse
+from ggwarp.config.command_line import parse
 
 SYNCHRONOUS = "none"
 """The cap of a run that is not live."""

@@ -22,27 +22,31 @@ Rgb = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class SensorFaults:
-    """What is wrong with the camera. Everything is off by default.
-
-    Attributes:
-        depth_noise: sigma = depth_noise z^2, metres (a Kinect: about 0.0015).
-        grazing_holes: no depth where a surface (or an edge) is seen at less than this angle, degrees.
-        disparity_step: depth rounded to this step of disparity, pixels (a Kinect: 0.125).
-        disparity_constant: focal length times baseline of the depth sensor, pixels metres.
-        colour_noise: standard deviation, 8-bit levels.
-        exposure_drift: the gain swings by this share either way.
-        exposure_swings: how often it does over the sequence.
-        seed: of all the randomness.
-    """
+    """What is wrong with the camera. Everything is off by default."""
 
     depth_noise: float = 0.0
+    """Depth has normal noise of this times z^2, in metres (a Kinect: about 0.0015)."""
+
     grazing_holes: float = 0.0
+    """There is no depth where a surface, or an edge, is seen at less than this angle in degrees."""
+
     disparity_step: float = 0.0
+    """Depth is rounded to this step of disparity in pixels (a Kinect: 0.125)."""
+
     disparity_constant: float = 43.5
+    """The depth sensor's focal length times its baseline, in pixels metres."""
+
     colour_noise: float = 0.0
+    """Colour has normal noise of this standard deviation, in 8-bit levels."""
+
     exposure_drift: float = 0.0
+    """The gain of the pictures swings by this share either way."""
+
     exposure_swings: float = 1.0
+    """The gain swings so often over the sequence."""
+
     seed: int = 0
+    """The seed of all these faults."""
 
 
 @dataclass(frozen=True)

@@ -82,7 +82,7 @@ class TrackingConfig:
     """The tracker, and the options of all of them."""
 
     tracker: TrackerChoice = "gicp"
-    """How poses are found: gicp registers depth to the map's points; photometric looks for the pose at which
+    """How poses are found. gicp registers depth to the map's points; photometric looks for the pose at which
     the map looks like the picture; hybrid asks colour where geometry leaves the pose uncertain; ground-truth
     takes the data set's own."""
     gicp: GicpConfig = field(default_factory=GicpConfig)

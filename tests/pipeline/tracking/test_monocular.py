@@ -6,11 +6,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ggwarp.config import RunConfig
+from ggwarp.config import monocular
 from ggwarp.datasets.built_in.synthetic import SyntheticOffice
 from ggwarp.evaluation.trajectory import absolute_error
-from ggwarp.monocular import monocular
-from ggwarp.pipeline.slam import Slam
+from ggwarp.pipeline.slam import Slam, SlamConfig
 from ggwarp.types import Frame, Verdict
 
 OFFICE = SyntheticOffice(scale=0.2)
@@ -25,8 +24,7 @@ def bare(index: int, at: int) -> Frame:
 
 
 def made(device: str) -> Slam:
-    config = monocular(RunConfig()).slam()
-    return Slam(config, OFFICE.camera, OFFICE.camera, device=device)
+    return Slam(monocular(SlamConfig()), OFFICE.camera, OFFICE.camera, device=device)
 
 
 def test_the_camera_is_followed_up_to_scale(device: str) -> None:
@@ -73,10 +71,10 @@ def test_a_second_run_is_the_same_to_the_bit(device: str) -> None:
 
 
 def test_only_the_defaults_give_way_to_what_one_camera_needs() -> None:
-    given = RunConfig()
+    given = SlamConfig()
     changed = monocular(given)
-    assert changed.slam().monocular and not changed.slam().use_identity
-    assert changed.slam().policy == "covisibility" and any(changed.mapper.pose_rates)
+    assert changed.mono and not changed.use_identity
+    assert changed.policy == "covisibility" and any(changed.mapper.pose_rates)
     rates = dataclasses.replace(given.mapper.rates, means=7e-3)
     own = dataclasses.replace(
         given, mapper=dataclasses.replace(given.mapper, rates=rates, pose_rates=(1e-5, 1e-5))

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What ``ggwarp run`` is asked for."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import textwrap
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from ggwarp.config.options import GROUPS, Option, option_table
+from ggwarp.config.presets import load_config, preset_config
+from ggwarp.config.run_config import ConfigError, RunConfig, check
+from ggwarp.console import Verbosity
+from ggwarp.pipeline.tracking.tracker import TrackerError
+
+_COLUMNS = 100
+_FLAG_COLUMNS = 20
+
+_EXAMPLES = """\
+ggwarp run: follow an RGB-D camera, and learn a map of the room in which every object can be picked.
+
+  ggwarp run --seq office                          a built-in room: nothing to download
+  ggwarp run --seq office0 --preset fast           a Replica scene (ggwarp download replica office0)
+  ggwarp run --seq ./my_recording --masks none     your own recording, without object masks
+"""
+
+_CLOSING = """\
+Other: -v says more, -q says less, --help-all shows every option of every part, such as
+--gicp.points and --mapper.iterations. Results: ggwarp objects runs/latest list"""
+
+
+@dataclass(frozen=True)
+class Command:
+    """Object-level RGB-D Gaussian-splatting SLAM."""
+
+    run: Annotated[RunConfig, tyro.conf.arg(name="")]
+    config: Path | None = None
+    """A saved config.toml to start from, instead of a preset."""
+    verbose: Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(aliases=["-v"])] = False
+    """Say more: a line for every frame, and what the library logs in detail."""
+    quiet: Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(aliases=["-q"])] = False
+    """Say less: only warnings and the closing lines."""
+
+    @property
+    def verbosity(self) -> Verbosity:
+        return Verbosity.QUIET if self.quiet else Verbosity.VERBOSE if self.verbose else Verbosity.NORMAL
+
+
+def parse(arguments: list[str]) -> Command:
+    """Return what the command line asks for; options override the file given by ``--config``, or the preset.
+
+    Raises:
+        ConfigError: an option cannot be used.
+        SystemExit: help was asked for, and shown.
+    """
+    if "-h" in arguments or "--help" in arguments:
+        print(short_help())
+        raise SystemExit(0)
+    everything = "--help-all" in arguments
+    first = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+    first.add_argument("--config", type=Path)
+    first.add_argument("--preset")
+    try:
+        start, _ = first.parse_known_args(arguments)
+    except argparse.ArgumentError:
+        start = argparse.Namespace(config=None, preset=None)  # tyro says what is wrong
+    if start.config is not None and start.preset is not None:
+        raise ConfigError("--config and --preset: give one of them; a saved configuration has its preset")
+    base = load_config(start.config) if start.config is not None else preset_config(start.preset or "gg-slam")
+    command = _parsed(["--help"] if everything else arguments, Command(base, start.config))
+    if command.quiet and command.verbose:
+        raise ConfigError("-q and -v: give one of them")
+    check(command.run)
+    return command
+
+
+def _parsed(arguments: list[str], default: Command) -> Command:
+    complaint = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(complaint):
+            return tyro.cli(Command, prog="ggwarp run", args=arguments, default=default)
+    except TrackerError as error:
+        raise ConfigError(f"--tracker {error}") from None
+    except SystemExit as stop:
+        if stop.code == 0:  # --help
+            raise
+        reason = _first_sentence(complaint.getvalue())
+        raise ConfigError(f"{reason} (--help-all lists the options)") from None
+
+
+def short_help() -> str:
+    """Return the help of the options that belong to no single part, after three examples."""
+    lines = [_EXAMPLES]
+    options = option_table()
+    for title in GROUPS:
+        lines.append(f"{title}:")
+        for option in options:
+            if option.group == title:
+                lines += textwrap.wrap(
+                    f"{_typed(option):{_FLAG_COLUMNS}} {_about(option)}",
+                    _COLUMNS,
+                    initial_indent="  ",
+                    subsequent_indent=" " * (_FLAG_COLUMNS + 3),
+                    break_on_hyphens=False,
+                )
+        lines.append("")
+    return "\n".join([*lines, _CLOSING])
+
+
+def _typed(option: Option) -> str:
+    return f"--[no-]{option.flag[2:]}" if option.choices == ("yes", "no") else option.flag
+
+
+def _about(option: Option) -> str:
+    """Return the first sentence of the help, the choices, and the default."""
+    first = option.help.partition(". ")[0].removesuffix(".") + "."
+    unsaid = [c for c in option.choices if c not in ("yes", "no")]
+    values = f" One of {', '.join(unsaid)}." if unsaid else ""
+    said = option.help.partition("Default: ")[2].partition(". ")[0].removesuffix(".") or option.default
+    return f"{first}{values} Default: {said}." if said else f"{first}{values}"
+
+
+def _first_sentence(boxed: str) -> str:
+    """Return what tyro's box of several lines begins with, on one line."""
+    words: list[str] = []
+    for line in boxed.splitlines()[1:]:
+        text = line.strip("│╰╯─ ")
+        if not text and words:
+            break
+        words += text.split()
+    return " ".join(words).removesuffix(".") or boxed.strip()

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a session says on its way, as text."""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from collections.abc import Iterator, Sequence
+
+from ggwarp.config import RunConfig
+from ggwarp.datasets import BUILT_IN, Dataset, DatasetError
+from ggwarp.types import StepReport
+
+
+def introduction(asked: RunConfig, config: RunConfig, dataset: Dataset, frames: int) -> Iterator[str]:
+    """Yield what a run begins with: its frames and their size, and what it must do without."""
+    if dataset.kind == "synthetic" and config.seq not in BUILT_IN:
+        yield (
+            f"{config.seq} is not under {config.data_root()}: using the built-in synthetic office instead "
+            f"(the real one: ggwarp download replica {config.seq})"
+        )
+    size, native = dataset.camera.scaled(config.scale or 1.0), dataset.camera
+    yield (
+        f"{frames} frames on {config.device} at {size.width}x{size.height} "
+        f"(--scale {config.scale:g} of {native.width}x{native.height})"
+    )
+    if config.slam.mono:
+        yield ("no depth: tracking by colour alone, no scale, objects are not learnt")
+    elif asked.slam.use_identity and not dataset.has_masks:
+        yield ("no object masks (--masks DIR gives some): objects are not learnt")
+
+
+def status(step: StepReport, fps: float) -> str:
+    """Return how the run stands after a frame."""
+    late = f", {step.late_ms:.0f} ms late" if step.late_ms else ""
+    return (
+        f"{fps:.1f} fps{late}, tracking {step.tracking_ms:.0f} ms, mapping {step.mapping_ms:.0f} ms, "
+        f"{step.gaussians / 1000:.1f}k Gaussians"
+    )
+
+
+def lateness(reports: Sequence[StepReport]) -> str:
+    """Return how late frames were taken up; empty where none was."""
+    late = [r for r in reports if r.late_ms > 0.0]
+    if not late:
+        return ""
+    behind = max(r.frames_behind for r in late)
+    waiting = f", with up to {behind} newer ones waiting" if behind else ""
+    worst = max(r.late_ms for r in late)
+    return f"{len(late)} of {len(reports)} frames were taken up late, by up to {worst:.0f} ms{waiting}"
+
+
+def explain(failure: Exception) -> None:
+    """Say what ended the run; where it looks like a fault of ours, say where in the code, too."""
+    reason = failure.__cause__ or failure
+    if not isinstance(reason, (DatasetError, OSError, MemoryError)):
+        traceback.print_exception(reason)
+    what = f"{type(reason).__name__}: {reason}" if str(reason) else type(reason).__name__
+    print(f"ggwarp: {failure}: {what}", file=sys.stderr)
