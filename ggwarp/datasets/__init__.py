@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -117,7 +118,9 @@ def _candidates(seq: str, root: Path) -> list[Path]:
     """Return where ``seq`` may lie, in the order it is looked for."""
     from ggwarp.datasets.tum import full_name
 
-    given = Path(seq).expanduser()
+    given = Path(seq)
+    with contextlib.suppress(RuntimeError):  # ~ of nobody who is known here
+        given = given.expanduser()
     if given.is_absolute() or seq.startswith("."):
         return [given]
     names = [seq] + [name for name in [full_name(seq)] if name and name != seq]

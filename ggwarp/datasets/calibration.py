@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -11,8 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from ggwarp.datasets.base import DatasetError
-from ggwarp.datasets.text import read_numbers, read_text
+from ggwarp.datasets.text import read_numbers
 from ggwarp.geometry.camera import Camera
+from ggwarp.io import guarded
+from ggwarp.io.camera import camera_fault, finite_number, size_fault
+from ggwarp.io.printable import shown
 
 CAMERA_FILES = (
     "camera.json",
@@ -25,6 +27,11 @@ CAMERA_FILES = (
 
 Intrinsics = tuple[float, float, float, float]
 """fx, fy, cx, cy in pixels, of images at their native size."""
+
+_LEAST_SCALE, _LARGEST_SCALE = 1.0, 1e6
+"""Of 16-bit depth: nothing is measured in units of more than a metre, or finer than a micrometre."""
+_LARGEST_COEFFICIENT = 1e4
+"""Of a lens's distortion; rational models come with coefficients of a few hundred."""
 
 _JSON_EXAMPLE = '{"w": 640, "h": 480, "fx": 525, "fy": 525, "cx": 319.5, "cy": 239.5, "scale": 1000}'
 
@@ -64,6 +71,8 @@ def given_camera(path: Path, size: tuple[int, int], intrinsics: Intrinsics | Non
         raise DatasetError(f"{given}: expected positive focal lengths, in pixels")
     if not (0.0 <= cx < width and 0.0 <= cy < height):
         raise DatasetError(f"{given}: the centre lies outside the {width}x{height} images of {path}")
+    if fault := camera_fault(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy):
+        raise DatasetError(f"{given}: {fault} ({path})")
     return Camera(width, height, fx, fy, cx, cy)
 
 
@@ -107,23 +116,38 @@ def read_calibration(path: Path, *, depth_scale: float, size: tuple[int, int]) -
     for key in ("width", "height"):
         if values[key] != int(values[key]):
             raise DatasetError(f"{path}: {key} is {values[key]:g}; it must be a whole number of pixels")
-    distortion = values.get("distortion", ())
+    scale = values.pop("depth_scale")
+    if not _LEAST_SCALE <= scale <= _LARGEST_SCALE:
+        raise DatasetError(
+            f"{path}: depth_scale is {scale:g}; it is what a metre counts in the depth images, "
+            f"{_LEAST_SCALE:g} to {_LARGEST_SCALE:g} (1000 for millimetres)"
+        )
+    distortion = values.pop("distortion", ())
     if not isinstance(distortion, (list, tuple)) or len(distortion) not in (0, 4, 5, 8):
         raise DatasetError(
-            f"{path}: distortion is {distortion!r}; expected a list k1 k2 p1 p2 [k3 [k4 k5 k6]]"
+            f"{path}: distortion is {shown(distortion)}; expected a list k1 k2 p1 p2 [k3 [k4 k5 k6]]"
         )
+    coefficients = tuple(_number(value, "distortion", path) for value in distortion)
+    if any(abs(value) > _LARGEST_COEFFICIENT for value in coefficients):
+        raise DatasetError(
+            f"{path}: distortion is {shown(distortion)}; a coefficient is at most {_LARGEST_COEFFICIENT:g}"
+        )
+    values = {key: values[key] for key in ("width", "height", "fx", "fy", "cx", "cy")}
+    # Of another size than the images it is wrong anyhow, which the first of them tells best.
+    fault = camera_fault(**values) if (values["width"], values["height"]) == size else size_fault(**values)
+    if fault:
+        raise DatasetError(f"{path}: {fault}; the images are {size[0]}x{size[1]}")
     camera = Camera(
         int(values["width"]), int(values["height"]), *(values[key] for key in ("fx", "fy", "cx", "cy"))
     )
-    coefficients = tuple(_number(value, "distortion", path) for value in distortion)
-    return Calibration(camera, values["depth_scale"], coefficients if any(coefficients) else ())
+    return Calibration(camera, scale, coefficients if any(coefficients) else ())
 
 
 def _read_json(path: Path) -> dict[str, Any]:
     try:
-        values = json.loads(read_text(path))
-    except json.JSONDecodeError as error:
-        raise DatasetError(f"{path}:{error.lineno}: is not JSON ({error.msg})") from error
+        values = guarded.read_json(path, guarded.CAMERA)
+    except guarded.FileError as error:
+        raise DatasetError(str(error)) from error
     if isinstance(values, dict) and isinstance(values.get("camera"), dict):
         values = values["camera"]
     if not isinstance(values, dict):
@@ -151,6 +175,7 @@ def _read_table(path: Path) -> dict[str, Any]:
 
 
 def _number(value: Any, key: str, path: Path) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise DatasetError(f"{path}: {key} is {value!r}; it must be a finite number")
-    return float(value)
+    number = finite_number(value)
+    if number is None:
+        raise DatasetError(f"{path}: {key} is {shown(value)}; it must be a finite number")
+    return number

@@ -13,33 +13,58 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggwarp.datasets.base import DatasetError, FrameError
+from ggwarp.datasets.image_headers import PNG_SIGNATURE, size_in_header
+from ggwarp.datasets.jpeg import JPEG_SIGNATURE, JpegError, check_codes, check_markers, may_lack_data
+from ggwarp.io import guarded
 from ggwarp.types import Float32
 
+Size = tuple[int, int]
+"""Width and height, pixels."""
+
 COLOUR_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".ppm")
-PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-_JPEG_END = b"\xff\xd9"
 _NO_READING = 65535
 """A saturated 16-bit reading is none (Kinect recordings mark holes with it, too)."""
 
 
-def read_bytes(path: Path) -> bytes:
-    """Return a whole image file, having checked that it is not cut short.
+class WrongSizeError(FrameError):
+    """An image has another size than it should.
+
+    Attributes:
+        found: its (width, height), pixels.
+    """
+
+    def __init__(self, path: Path, found: Size, wanted: Size) -> None:
+        super().__init__(f"{path}: {found[0]}x{found[1]}, but {wanted[0]}x{wanted[1]} is needed")
+        self.found = found
+
+
+def read_bytes(path: Path, size: Size | None = None) -> bytes:
+    """Return a whole image file, having checked its header, and that it is not cut short.
+
+    Args:
+        size: (width, height) that it should have, pixels; None: any.
 
     Raises:
-        FrameError: the file is missing, empty, truncated or fails its checksums.
+        FrameError: the file is missing, no regular file, empty, truncated, of another size, or fails its
+            checksums.
     """
     try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise FrameError(f"{path}: cannot be read ({error.strerror})") from error
+        data = guarded.read_bytes(path, guarded.IMAGE)
+    except guarded.FileError as error:
+        raise FrameError(str(error)) from error
     if not data:
         raise FrameError(f"{path}: is empty; copy it again")
+    found = size_in_header(data, path)
+    if size is not None and found != size:
+        raise WrongSizeError(path, found, size)
     if data.startswith(PNG_SIGNATURE):
         for _ in png_chunks(data, path):
             pass
-    # Some cameras pad the file; a marker cannot occur inside the coded picture itself.
-    elif data.startswith(b"\xff\xd8") and data.rfind(_JPEG_END, -4096) < 0:
-        raise FrameError(f"{path}: is truncated after {len(data)} bytes; copy it again")
+    elif data.startswith(JPEG_SIGNATURE):
+        try:
+            check_markers(data)
+        except JpegError as error:
+            raise FrameError(f"{path}: {error} after {len(data)} bytes; copy it again") from error
     return data
 
 
@@ -64,38 +89,51 @@ def png_chunks(data: bytes, path: Path) -> Iterator[tuple[bytes, bytes]]:
 
 
 def decode(data: bytes, path: Path, flags: int) -> NDArray:
-    """Decode an image file's bytes with OpenCV.
+    """Decode an image file's bytes with OpenCV, having checked that its header is sound.
 
     Raises:
         FrameError: OpenCV cannot.
     """
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    size_in_header(data, path)
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except cv2.error:
+        image = None
     if image is None:
         raise FrameError(f"{path}: is not an image that OpenCV can read")
+    if data.startswith(JPEG_SIGNATURE) and may_lack_data(np.asarray(image)):
+        try:
+            check_codes(data)
+        except JpegError as error:
+            raise FrameError(f"{path}: {error}; copy it again") from error
     return image
 
 
-def read_colour(path: Path) -> NDArray[np.uint8]:
+def read_colour(path: Path, size: Size | None = None) -> NDArray[np.uint8]:
     """Return the colour image [h, w, 3] uint8, RGB.
 
+    Args:
+        size: (width, height) that it should have, pixels; None: any.
+
     Raises:
-        FrameError: the file is missing, damaged or no image.
+        FrameError: the file is missing, damaged, no image or of another size.
     """
     # Depth and calibration follow the sensor's pixels, so the EXIF orientation must not.
-    image = decode(read_bytes(path), path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    image = decode(read_bytes(path, size), path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8)
 
 
-def read_depth(path: Path, *, scale: float) -> Float32:
+def read_depth(path: Path, *, scale: float, size: Size | None = None) -> Float32:
     """Return the depth image [h, w] float32, metres; 0 = no reading.
 
     Args:
         scale: raw value / scale = metres.
+        size: (width, height) that it should have, pixels; None: any.
 
     Raises:
-        FrameError: the file is missing, damaged, or not a one-channel 16-bit image.
+        FrameError: the file is missing, damaged, of another size, or not a one-channel 16-bit image.
     """
-    raw = decode(read_bytes(path), path, cv2.IMREAD_UNCHANGED)
+    raw = decode(read_bytes(path, size), path, cv2.IMREAD_UNCHANGED)
     if raw.ndim != 2 or raw.dtype != np.uint16:
         channels = 1 if raw.ndim == 2 else raw.shape[2]
         raise FrameError(
@@ -107,7 +145,7 @@ def read_depth(path: Path, *, scale: float) -> Float32:
     return depth
 
 
-def image_size(paths: list[Path]) -> tuple[int, int]:
+def image_size(paths: list[Path]) -> Size:
     """Return (width, height) of the first of ``paths`` that can be read.
 
     Raises:

@@ -22,7 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggwarp.datasets.base import Dataset, DatasetError, FrameError, Masks, at_scale
-from ggwarp.datasets.images import PNG_SIGNATURE, decode, png_chunks, read_bytes
+from ggwarp.datasets.image_headers import PNG_SIGNATURE
+from ggwarp.datasets.images import decode, png_chunks, read_bytes
 from ggwarp.datasets.resize import resize_nearest
 from ggwarp.geometry.camera import Camera
 from ggwarp.types import Frame
@@ -30,6 +31,10 @@ from ggwarp.types import Frame
 log = logging.getLogger(__name__)
 
 MASK_FOLDERS = ("object_mask", "Annotations")
+MOST_IDS = 4096
+"""Most ids of one mask, and at most one per 20 pixels: a mask of more is a picture of something else."""
+_ALWAYS_IDS = 256  # what 8 bits hold is never too much
+_PIXELS_PER_ID = 20
 _PALETTE = 3  # PNG colour type
 
 
@@ -42,6 +47,7 @@ class MaskFolder:
         present = {path.stem for path in folder.glob("*.png")}
         self._found = [folder / f"{stem}.png" if stem in present else None for stem in stems]
         self._warned_size = False
+        self._warned_ids = False
 
     @property
     def count(self) -> int:
@@ -52,7 +58,8 @@ class MaskFolder:
         """Return frame ``index``'s object ids [height, width]; None where there is no mask.
 
         A mask of another size is resampled by nearest neighbour, with one warning a sequence;
-        an unreadable one counts as missing, with a warning: the frame itself is good.
+        an unreadable one counts as missing, with a warning: the frame itself is good. So does one with more
+        ids than a segmenter finds, with one warning a sequence: colours in a mask's place would all be ids.
         """
         path = self._found[index]
         if path is None:
@@ -61,6 +68,8 @@ class MaskFolder:
             ids = read_mask(path)
         except FrameError as error:
             log.warning("%s: frame %d goes without a mask", error, index)
+            return None
+        if self._too_many_ids(ids, path):
             return None
         if ids.shape != (height, width):
             if not self._warned_size:
@@ -75,6 +84,23 @@ class MaskFolder:
                 self._warned_size = True
             ids = resize_nearest(ids, width, height)
         return ids
+
+    def _too_many_ids(self, ids: NDArray[np.int32], path: Path) -> bool:
+        most = max(_ALWAYS_IDS, min(MOST_IDS, ids.size // _PIXELS_PER_ID))
+        if int(ids.max(initial=0)) < most:
+            return False
+        present = np.zeros(int(ids.max()) + 1, np.bool_)
+        present[ids] = True
+        count = np.count_nonzero(present)
+        if count > most and not self._warned_ids:
+            log.warning(
+                "%s: holds %d ids, more than %d: is it a picture of ids? Such masks are left aside",
+                path,
+                count,
+                most,
+            )
+            self._warned_ids = True
+        return bool(count > most)
 
 
 class WithMasks:
@@ -195,7 +221,7 @@ def read_mask(path: Path) -> NDArray[np.int32]:
     image = decode(data, path, cv2.IMREAD_UNCHANGED)
     if image.ndim == 2:
         return image.astype(np.int32)
-    if image.dtype != np.uint8:
+    if image.dtype != np.uint8 or image.shape[2] < 3:
         raise FrameError(
             f"{path}: {image.shape[2]} channels of {image.dtype}; RGB-coded ids are 8 bits a channel"
         )
@@ -212,7 +238,7 @@ def _without_palette(data: bytes, path: Path) -> tuple[bytes, int] | None:
         return None
     chunks = list(png_chunks(data, path))
     header = chunks[0][1]
-    if len(header) != 13 or header[9] != _PALETTE:
+    if len(header) != 13 or header[9] != _PALETTE or header[8] not in (1, 2, 4, 8):
         return None
     grey = bytearray(PNG_SIGNATURE)
     for kind, content in chunks:

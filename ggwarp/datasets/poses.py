@@ -17,6 +17,10 @@ log = logging.getLogger(__name__)
 
 _ROTATION_TOLERANCE = 1e-2
 """Largest entry of R^T R - I that the rounding of a text file may leave."""
+_FARTHEST = 1e6
+"""Metres from the world's origin; what is farther is no place of a camera."""
+_LATEST = 1e12
+"""Seconds; times are counted from 1970, or from when the recorder was switched on."""
 
 
 def read_matrices(path: Path) -> list[Float64 | None]:
@@ -71,11 +75,11 @@ def read_stamped(path: Path) -> tuple[Float64, list[Float64 | None]]:
         if len(values) != 8:
             raise DatasetError(f"{path}:{line}: {len(values)} numbers; expected t tx ty tz qx qy qz qw")
         t, tx, ty, tz, qx, qy, qz, qw = values
-        if not np.isfinite(t):
-            raise DatasetError(f"{path}:{line}: {t} is not a time")
-        length = np.linalg.norm([qx, qy, qz, qw])
+        if not is_time(t):
+            raise DatasetError(f"{path}:{line}: {t:g} is not a time")
         pose = None
-        if np.isfinite(values).all() and abs(length - 1.0) < _ROTATION_TOLERANCE:
+        near = np.isfinite(values).all() and max(map(abs, values[1:])) < _FARTHEST
+        if near and abs(np.linalg.norm(values[4:]) - 1.0) < _ROTATION_TOLERANCE:
             pose = np.eye(4)
             pose[:3, :3] = se3.matrix_from_quat([qw, qx, qy, qz])
             pose[:3, 3] = tx, ty, tz
@@ -87,11 +91,16 @@ def read_stamped(path: Path) -> tuple[Float64, list[Float64 | None]]:
     return np.array(stamps), poses
 
 
+def is_time(seconds: float) -> bool:
+    """Return whether ``seconds`` can be when something was seen."""
+    return abs(seconds) < _LATEST
+
+
 def _rigid(rows: Float64) -> Float64 | None:
     T = np.eye(4)
     T[: len(rows)] = rows
     R = T[:3, :3]
-    if not np.isfinite(T).all() or np.abs(R.T @ R - np.eye(3)).max() > _ROTATION_TOLERANCE:
+    if not (np.abs(T) < _FARTHEST).all() or np.abs(R.T @ R - np.eye(3)).max() > _ROTATION_TOLERANCE:
         return None
     if np.linalg.det(R) < 0.0 or np.abs(T[3] - (0.0, 0.0, 0.0, 1.0)).max() > 1e-6:
         return None

@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import cv2
@@ -14,9 +16,11 @@ from numpy.typing import NDArray
 
 from ggwarp.datasets.base import DatasetError, FrameError, Masks
 from ggwarp.datasets.calibration import Calibration
-from ggwarp.datasets.images import COLOUR_SUFFIXES, read_colour, read_depth
+from ggwarp.datasets.images import COLOUR_SUFFIXES, Size, WrongSizeError, read_colour, read_depth
 from ggwarp.datasets.masks import find_masks, find_true_masks
 from ggwarp.geometry.camera import Camera
+from ggwarp.io.camera import camera_fault
+from ggwarp.io.guarded import FileError, inside
 from ggwarp.types import Float32, Float64, Frame
 
 
@@ -65,9 +69,10 @@ class FileSequence:
         self.name = root.resolve().name
         self.kind = kind
         self.camera: Camera = calibration.camera
+        self._root = root
         self._entries = list(entries)
         self._scale = calibration.depth_scale
-        self._undistort = _Undistortion(calibration) if calibration.distortion else None
+        self._calibration = calibration
         self.stems = [entry.rgb.stem for entry in entries]
         """Each frame's name, as its mask has it."""
         self._masks = find_masks(root, self.stems, masks)
@@ -75,6 +80,8 @@ class FileSequence:
         self.has_depth = any(entry.depth for entry in entries)
         self.has_masks = self._masks is not None
         self._probe()
+        if fault := camera_fault(**dataclasses.asdict(self.camera)):
+            raise DatasetError(f"{root}: its camera cannot be right: {fault}")
 
     def __len__(self) -> int:
         return len(self._entries)
@@ -83,17 +90,12 @@ class FileSequence:
         if not 0 <= index < len(self._entries):
             raise IndexError(index)
         entry = self._entries[index]
-        rgb = read_colour(entry.rgb)
-        width, height = self.camera.width, self.camera.height
-        if rgb.shape[:2] != (height, width):
-            raise FrameError(
-                f"{entry.rgb}: {rgb.shape[1]}x{rgb.shape[0]}, but the camera file says {width}x{height}; "
-                "correct the camera file, or export the image again"
-            )
-        depth = self._depth(entry)
+        size = width, height = self.camera.width, self.camera.height
+        rgb = self._colour(entry, size)
+        depth = self._depth(entry, size)
         mask = self._masks.read(index, width, height) if self._masks else None
         truth = self._true_masks.read(index, width, height) if self._true_masks else None
-        if self._undistort:
+        if self._undistort:  # from here on: a picture has the size that the camera file claims
             rgb = self._undistort.colour(rgb)
             mask, truth = self._undistort.labels(mask), self._undistort.labels(truth)
             if depth is not None:
@@ -109,19 +111,37 @@ class FileSequence:
             true_mask=truth,
         )
 
-    def _depth(self, entry: Entry) -> Float32 | None:
+    def _colour(self, entry: Entry, size: Size) -> NDArray[np.uint8]:
+        try:
+            return read_colour(self._inside(entry.rgb), size)
+        except WrongSizeError as error:
+            raise FrameError(
+                f"{entry.rgb}: {error.found[0]}x{error.found[1]}, but the camera file says "
+                f"{size[0]}x{size[1]}; correct the camera file, or export the image again"
+            ) from None
+
+    def _depth(self, entry: Entry, size: Size) -> Float32 | None:
         if not self.has_depth:
             return None
         if entry.depth is None:
             raise FrameError(f"{entry.rgb}: there is no depth image of this frame")
-        depth = read_depth(entry.depth, scale=self._scale)
-        width, height = self.camera.width, self.camera.height
-        if depth.shape != (height, width):
+        try:
+            return read_depth(self._inside(entry.depth), scale=self._scale, size=size)
+        except WrongSizeError as error:
             raise FrameError(
-                f"{entry.depth}: {depth.shape[1]}x{depth.shape[0]}, but the colour is {width}x{height}; "
+                f"{entry.depth}: {error.found[0]}x{error.found[1]}, but the colour is {size[0]}x{size[1]}; "
                 "export the depth registered to the colour camera"
-            )
-        return depth
+            ) from None
+
+    @cached_property
+    def _undistort(self) -> _Undistortion | None:
+        return _Undistortion(self._calibration) if self._calibration.distortion else None
+
+    def _inside(self, path: Path) -> Path:
+        try:
+            return inside(self._root, path)
+        except FileError as error:
+            raise FrameError(str(error)) from error
 
     def _probe(self) -> None:
         """Fail now, not after a thousand warnings, when no frame can be used."""
@@ -152,6 +172,9 @@ class _Undistortion:
             & (self._v <= camera.height - 1.0)
         )
         """[h, w] where the undistorted picture has colour at all."""
+        if not self.seen.any():
+            shown = " ".join(f"{value:g}" for value in calibration.distortion)
+            raise DatasetError(f"distortion {shown}: leaves nothing of the picture; correct the camera file")
 
     def colour(self, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
         return np.asarray(cv2.remap(rgb, self._u, self._v, cv2.INTER_LINEAR), np.uint8)
@@ -159,8 +182,8 @@ class _Undistortion:
     def labels(self, mask: NDArray[np.int32] | None) -> NDArray[np.int32] | None:
         if mask is None:
             return None
-        rows = np.rint(self._v).astype(np.intp).clip(0, mask.shape[0] - 1)
-        columns = np.rint(self._u).astype(np.intp).clip(0, mask.shape[1] - 1)
+        rows = np.rint(np.where(self.seen, self._v, 0.0)).astype(np.intp)
+        columns = np.rint(np.where(self.seen, self._u, 0.0)).astype(np.intp)
         return np.where(self.seen, mask[rows, columns], 0)
 
 

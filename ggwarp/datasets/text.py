@@ -7,20 +7,20 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from ggwarp.datasets.base import DatasetError
+from ggwarp.io import guarded
+from ggwarp.io.printable import shown
 
 
 def read_text(path: Path) -> str:
     """Return the text of ``path``.
 
     Raises:
-        DatasetError: the file cannot be read or is not text.
+        DatasetError: the file cannot be read, is no regular file, too large or no text.
     """
     try:
-        return path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise DatasetError(f"{path}: cannot be read ({error.strerror})") from error
-    except UnicodeDecodeError as error:
-        raise DatasetError(f"{path}: is not a text file") from error
+        return guarded.read_text(path, guarded.LIST)
+    except guarded.FileError as error:
+        raise DatasetError(str(error)) from error
 
 
 def read_lines(path: Path) -> Iterator[tuple[int, list[str]]]:
@@ -40,7 +40,7 @@ def parse_float(word: str, path: Path, line: int) -> float:
     try:
         return float(word)
     except ValueError:
-        raise DatasetError(f"{path}:{line}: {word!r} is not a number") from None
+        raise DatasetError(f"{path}:{line}: {shown(word)} is not a number") from None
 
 
 def read_numbers(path: Path) -> list[tuple[int, list[float]]]:

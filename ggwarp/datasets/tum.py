@@ -14,25 +14,31 @@ from __future__ import annotations
 
 import logging
 import re
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ggwarp.datasets.base import DatasetError, Kind, Masks
 from ggwarp.datasets.calibration import CAMERA_FILES, Calibration, find_camera_file, read_calibration
 from ggwarp.datasets.images import image_size
-from ggwarp.datasets.poses import read_stamped
+from ggwarp.datasets.poses import is_time, read_stamped
 from ggwarp.datasets.sequence import Entry, FileSequence
 from ggwarp.datasets.text import parse_float, read_lines
+from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
+from ggwarp.io.printable import printable, shown
 from ggwarp.types import Float64
 
 log = logging.getLogger(__name__)
 
 DEPTH_TOLERANCE = 0.02
 """Largest time between a colour and its depth image, seconds."""
-POSE_TOLERANCE = 0.08
-"""Largest time between a colour image and its true pose, seconds."""
+POSE_GAP = 0.11
+"""Largest time between two true poses for one between them to be told from both, seconds: three frames."""
+POSE_TOLERANCE = 0.005
+"""Largest time from an image to a true pose without another one beyond it in reach, seconds."""
 
 _DEPTH_SCALE = 5000.0
 _CAMERAS = {
@@ -60,26 +66,38 @@ def full_name(name: str) -> str | None:
     return f"rgbd_dataset_freiburg{match[1]}_{match[2]}" if match else None
 
 
+LISTS = ("rgb.txt", "depth.txt", "groundtruth.txt")
+
+
 def recognises(path: Path) -> bool:
-    """Return whether ``path`` is a recording in this layout."""
-    return (path / "rgb.txt").is_file() and (path / "depth.txt").is_file()
+    """Return whether ``path`` is a recording in this layout: any of its lists is there."""
+    return any((path / name).exists() for name in LISTS)
 
 
 def open_sequence(path: Path, masks: Masks = None) -> FileSequence:
     """Open a recording; colour images without a depth image within 0.02 s are left out.
 
+    An image's true pose is interpolated between those before and after it, where these are close.
+
     Raises:
-        DatasetError: no pair of images, an unknown camera, or malformed lists.
+        DatasetError: a list is missing, no pair of images, an unknown camera, or malformed lists.
     """
+    for name in LISTS[:2]:
+        if not (path / name).exists():
+            there = next(other for other in LISTS if (path / other).exists())
+            raise DatasetError(
+                f"{path}: {name} is missing; copy it again ({there} makes this a TUM recording, whose depth "
+                f"has a scale of its own; without {' and '.join(LISTS)} it is read as a plain folder)"
+            )
     rgb_stamps, rgb_files = _read_list(path / "rgb.txt")
     depth_stamps, depth_files = _read_list(path / "depth.txt")
     truth = path / "groundtruth.txt"
-    pose_stamps, poses = read_stamped(truth) if truth.is_file() else (np.zeros(0), [])
+    pose_stamps, poses = read_stamped(truth) if truth.exists() else (np.zeros(0), [])
+    true_poses = interpolated(rgb_stamps, pose_stamps, poses)
     depth_of = nearest(rgb_stamps, depth_stamps, tolerance=DEPTH_TOLERANCE)
-    pose_of = nearest(rgb_stamps, pose_stamps, tolerance=POSE_TOLERANCE)
     entries = [
-        Entry(rgb, depth_files[d], float(stamp), poses[p] if p >= 0 else None, float(depth_stamps[d]))
-        for rgb, stamp, d, p in zip(rgb_files, rgb_stamps, depth_of, pose_of, strict=True)
+        Entry(rgb, depth_files[d], float(stamp), T_wc, float(depth_stamps[d]))
+        for rgb, stamp, d, T_wc in zip(rgb_files, rgb_stamps, depth_of, true_poses, strict=True)
         if d >= 0
     ]
     if not entries:
@@ -90,6 +108,9 @@ def open_sequence(path: Path, masks: Masks = None) -> FileSequence:
     if len(entries) < len(rgb_files):
         unpaired = len(rgb_files) - len(entries)
         log.info("%s: %d of %d colour images have no depth in time", path, unpaired, len(rgb_files))
+    without = sum(entry.T_wc is None for entry in entries)
+    if without and truth.exists():
+        log.info("%s: %d of %d frames have no true pose in time", truth, without, len(entries))
     return FileSequence(path, "tum", entries, _calibration(path, entries), masks=masks)
 
 
@@ -107,14 +128,47 @@ def nearest(stamps: Float64, others: Float64, *, tolerance: float) -> np.ndarray
     return np.where(distance[closer, columns] <= tolerance, order[pair[closer, columns]], -1)
 
 
+def interpolated(stamps: Float64, others: Float64, poses: Sequence[Float64 | None]) -> list[Float64 | None]:
+    """Return the pose at each of ``stamps`` [n] out of ``poses`` at the times ``others`` [m].
+
+    Between two poses at most :data:`POSE_GAP` apart it moves and turns evenly; elsewhere the nearest counts
+    where it is within :data:`POSE_TOLERANCE`, else there is none.
+    """
+    known = [i for i in np.argsort(others, kind="stable").tolist() if poses[i] is not None]
+    times = others[known]
+
+    def at(stamp: float) -> Float64 | None:
+        after = int(np.searchsorted(times, stamp))
+        beside = [i for i in (after - 1, after) if 0 <= i < len(times)]
+        if not beside:
+            return None
+        ends = [poses[known[i]] for i in beside]
+        span = float(times[beside[-1]] - times[beside[0]])
+        if 0.0 < span <= POSE_GAP:
+            return _between(ends[0], ends[1], float(stamp - times[beside[0]]) / span)
+        nearer = int(np.argmin(np.abs(times[beside] - stamp)))
+        return ends[nearer] if abs(times[beside[nearer]] - stamp) <= POSE_TOLERANCE else None
+
+    return [at(stamp) for stamp in stamps.tolist()]
+
+
+def _between(first: Any, second: Any, share: float) -> Float64:
+    if share in (0.0, 1.0):
+        return first if share == 0.0 else second
+    T = first.copy()
+    T[:3, 3] += share * (second[:3, 3] - first[:3, 3])
+    T[:3, :3] = first[:3, :3] @ se3.so3_exp(share * se3.so3_log(first[:3, :3].T @ second[:3, :3]))
+    return T
+
+
 def _read_list(path: Path) -> tuple[Float64, list[Path]]:
     stamps, files = [], []
     for line, words in read_lines(path):
         if len(words) != 2:
-            raise DatasetError(f"{path}:{line}: {' '.join(words)!r}; expected a time and a file name")
+            raise DatasetError(f"{path}:{line}: {shown(' '.join(words))}; expected a time and a file name")
         stamp = parse_float(words[0], path, line)
-        if not np.isfinite(stamp):
-            raise DatasetError(f"{path}:{line}: {words[0]} is not a time")
+        if not is_time(stamp):
+            raise DatasetError(f"{path}:{line}: {printable(words[0])} is not a time")
         stamps.append(stamp)
         files.append(path.parent / words[1])
     return np.array(stamps), files
@@ -133,4 +187,4 @@ def _calibration(path: Path, entries: list[Entry]) -> Calibration:
     return _CAMERAS[f"freiburg{match[1]}"]
 
 
-KIND = Kind("tum", "rgb.txt and depth.txt", recognises, open_sequence)
+KIND = Kind("tum", "rgb.txt, depth.txt, groundtruth.txt", recognises, open_sequence)

@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -12,6 +14,7 @@ from numpy.typing import NDArray
 
 from ggwarp.datasets.base import DatasetError, FrameError
 from ggwarp.datasets.calibration import Intrinsics, given_camera
+from ggwarp.io.guarded import VIDEO, FileError, check_file
 from ggwarp.types import Frame
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg")
@@ -49,7 +52,7 @@ class VideoSequence:
         self.camera = given_camera(path, (width, height), intrinsics)
         # The header's count is a guess; the decoder's is not.
         count = 1
-        while self._capture.grab():
+        while _decoded(self._capture.grab):
             count += 1
         self._count = count
         self._rewind()
@@ -63,15 +66,26 @@ class VideoSequence:
         with self._lock:
             if index < self._next:
                 self._rewind()
-            while self._next < index and self._capture.grab():
+            while self._next < index and _decoded(self._capture.grab):
                 self._next += 1
             rgb = self._read() if self._next == index else None
         if rgb is None:
             raise FrameError(f"{self._path}: frame {index} cannot be decoded")
+        height, width = rgb.shape[:2]
+        if (width, height) != (self.camera.width, self.camera.height):
+            raise FrameError(
+                f"{self._path}: frame {index} is {width}x{height}, but the first one is "
+                f"{self.camera.width}x{self.camera.height}"
+            )
         return Frame(index, index / self._rate, rgb)
 
     def _rewind(self) -> None:
-        if not self._capture.open(str(self._path)):
+        try:
+            check_file(self._path, VIDEO)
+        except FileError as error:
+            raise DatasetError(str(error)) from error
+        # An absolute path is never taken for an address, or for the pattern of a series of files.
+        if not _decoded(lambda: self._capture.open(str(self._path.absolute()))):
             raise self._unreadable()
         self._next = 0
 
@@ -79,6 +93,16 @@ class VideoSequence:
         return DatasetError(f"{self._path}: is not a video that OpenCV can read; convert it, such as to .mp4")
 
     def _read(self) -> NDArray[np.uint8] | None:
-        good, image = self._capture.read()
+        good, image = _decoded(self._capture.read) or (False, None)
         self._next += 1
-        return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8) if good else None
+        if not good or image is None or image.ndim != 3:
+            return None
+        return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8)
+
+
+def _decoded(call: Callable[[], Any]) -> Any:
+    """Return what ``call`` of OpenCV returns; None where it fails."""
+    try:
+        return call()
+    except cv2.error:
+        return None

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ggwarp.io.atomic import atomic_write
+from ggwarp.io.guarded import MAP, open_file
 from ggwarp.map.gaussians import Gaussians
 from ggwarp.types import Float32
 
@@ -38,6 +39,18 @@ _TYPES = {
 }  # fmt: skip
 _ORDER = {"binary_little_endian": "<", "binary_big_endian": ">"}
 _HEADER_LIMIT = 1 << 20
+_MOST_PROPERTIES = 1000
+_LARGEST_LOGIT = 100.0
+_LARGEST = {
+    "means": 1e6,
+    "colours": 1e4,
+    "opacity_logits": _LARGEST_LOGIT,
+    "log_scales": _LARGEST_LOGIT,
+    "quats": 1e6,
+    "identities": 1e6,
+    "object_ids": float(np.iinfo(np.int32).max),
+}
+"""Of the numbers of a Gaussian; metres, where they have a unit."""
 
 
 class PlyError(ValueError):
@@ -86,10 +99,10 @@ def read_ply(path: str | Path) -> Gaussians:
     Higher spherical harmonics (``f_rest_*``), normals and unknown properties are ignored.
 
     Raises:
-        OSError: the file cannot be read.
-        PlyError: it is not a binary PLY, a property is missing, or it is truncated.
+        FileError: the file cannot be read.
+        PlyError: it is not a binary PLY, a property is missing, it is truncated, or a number is too large.
     """
-    with open(path, "rb") as file:
+    with open_file(path, MAP) as file:
         count, dtype = _read_header(file, path)
         missing = [name for group in _GROUPS.values() for name in group if name not in (dtype.names or ())]
         if missing:
@@ -102,14 +115,25 @@ def read_ply(path: str | Path) -> Gaussians:
         table = np.frombuffer(file.read(need), dtype, count)
     names = dtype.names or ()
     groups = {group: _gather(table, properties) for group, properties in _GROUPS.items()}
+    if set(_IDENTITY) <= set(names):
+        groups["identities"] = _gather(table, _IDENTITY)
+    if "object_id" in names:
+        groups["object_ids"] = table["object_id"][:, None]
+    # Some programs write an opacity of 1 as an infinite logit, and a flat Gaussian's scale as log 0.
+    groups["opacity_logits"] = np.clip(groups["opacity_logits"], -_LARGEST_LOGIT, _LARGEST_LOGIT)
+    groups["log_scales"] = np.maximum(groups["log_scales"], -_LARGEST_LOGIT)
+    for group, values in groups.items():
+        wrong = np.count_nonzero(~(np.abs(values) <= _LARGEST[group]).all(axis=1))
+        if wrong:
+            raise PlyError(f"{path}: the {group} of {wrong} of its {count} Gaussians are beyond all bounds")
     return Gaussians(
         means=groups["means"],
         quats=groups["quats"],
         log_scales=groups["log_scales"],
         opacity_logits=groups["opacity_logits"][:, 0],
         colours=groups["colours"],
-        object_ids=table["object_id"].astype(np.int32) if "object_id" in names else None,
-        identities=_gather(table, _IDENTITY) if set(_IDENTITY) <= set(names) else None,
+        object_ids=groups["object_ids"][:, 0].astype(np.int32) if "object_ids" in groups else None,
+        identities=groups.get("identities"),
     )
 
 
@@ -151,6 +175,8 @@ def _read_header(file: BinaryIO, path: str | Path) -> tuple[int, np.dtype]:
                     raise PlyError(f"{path}: property {name} has the unknown type {kind}")
                 if name in dict(fields):
                     raise PlyError(f"{path}: property {name} occurs twice")
+                if len(fields) == _MOST_PROPERTIES:
+                    raise PlyError(f"{path}: has more than {_MOST_PROPERTIES} properties: not a Gaussian map")
                 fields.append((name, order + _TYPES[kind]))
             case ["property", "list", *_] if element == "vertex":
                 raise PlyError(f"{path}: its vertices hold lists: not a Gaussian map")

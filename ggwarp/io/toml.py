@@ -8,13 +8,16 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 import sys
 import types
 import typing
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
+from ggwarp.io import guarded
 from ggwarp.io.atomic import atomic_write
+from ggwarp.io.printable import printable, shown
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -22,6 +25,13 @@ else:
     import tomli as tomllib  # pyright: ignore[reportMissingImports]
 
 T = TypeVar("T")
+
+_NEEDED = " is needed"
+_LARGEST: Any = (1 << 63) - 1
+_DEEPEST = 16
+_PART = r"""(?:[A-Za-z0-9_-]+|"[^"\n]*"|'[^'\n]*')[ \t]*"""
+_DEEP_KEY = re.compile(rf"(?<![A-Za-z0-9_-]){_PART}(?:\.[ \t]*{_PART}){{{_DEEPEST}}}")
+"""A dotted key of more parts than any section has: reading one takes the square of their number."""
 
 
 class TomlError(ValueError):
@@ -31,21 +41,31 @@ class TomlError(ValueError):
 def write_toml(config: Any, path: Path) -> None:
     """Write the dataclass ``config`` to ``path``; values that are None are left out."""
     with atomic_write(path) as file:
-        file.write(("\n".join(_lines(config, "")) + "\n").encode())
+        # TOML has no word for a name that is not UTF-8: it gets question marks.
+        file.write(("\n".join(_lines(config, "")) + "\n").encode(errors="replace"))
 
 
 def read_toml(path: Path) -> dict[str, Any]:
     """Read ``path`` as plain values.
 
     Raises:
-        TomlError: the file is missing, unreadable or not TOML.
+        TomlError: the file is missing, unreadable, too large, nested too deeply, or not TOML.
     """
+    name = printable(str(path))
+    if not path.exists():
+        raise TomlError(f"{name}: no such file")
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise TomlError(f"{path}: no such file") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
-        raise TomlError(f"{path}: {error}") from None
+        text = guarded.read_text(path, guarded.CONFIG)
+    except guarded.FileError as error:
+        raise TomlError(str(error)) from None
+    if _DEEP_KEY.search(text):
+        raise TomlError(f"{name}: a key has more than {_DEEPEST} parts; a section's key has two or three")
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise TomlError(f"{name}: is nested too deeply") from None
+    except ValueError as error:  # also of numbers with thousands of digits
+        raise TomlError(f"{name}: {printable(str(error))}") from None
 
 
 def merged(default: T, values: dict[str, Any], *, where: str, prefix: str = "") -> T:
@@ -65,14 +85,14 @@ def merged(default: T, values: dict[str, Any], *, where: str, prefix: str = "") 
     for key, value in values.items():
         name = prefix + key
         if key not in known:
-            raise TomlError(f"{where}: unknown key {name!r}; known here: {', '.join(sorted(known))}")
+            raise TomlError(f"{where}: unknown key {shown(name)}; known here: {', '.join(sorted(known))}")
         current = getattr(default, key)
         if not dataclasses.is_dataclass(current):
-            changes[key] = _converted(value, hints[key], f"{where}: {name} = {value!r}")
+            changes[key] = _converted(value, hints[key], f"{where}: {name} = {shown(value)}")
         elif isinstance(value, dict):
             changes[key] = merged(current, value, where=where, prefix=f"{name}.")
         else:
-            raise TomlError(f"{where}: {name} = {value!r}, but a section [{name}] is needed")
+            raise TomlError(f"{where}: {name} = {shown(value)}, but a section [{name}] is needed")
     return dataclasses.replace(default, **changes)  # pyright: ignore[reportArgumentType, reportReturnType]
 
 
@@ -115,10 +135,16 @@ def _converted(value: Any, hint: Any, what: str) -> Any:
         if len(items) == len(value):
             return tuple(_converted(v, h, what) for v, h in zip(value, items, strict=True))
     if hint is float and isinstance(value, (int, float)) and not isinstance(value, bool):
+        if abs(value) > sys.float_info.max and isinstance(value, int):
+            raise TomlError(f"{what}, but no number is that large")
         return float(value)
     if hint is Path and isinstance(value, str):
+        if "\0" in value:
+            raise TomlError(f"{what}, but no file's name holds a NUL")
         return Path(value)
     if hint in (int, bool, str) and type(value) is hint:
+        if hint is int and not -_LARGEST <= value <= _LARGEST:
+            raise TomlError(f"{what}, but no number is that large")
         return value
     raise TomlError(f"{what}, but {getattr(hint, '__name__', hint)} is needed")
 
@@ -129,5 +155,7 @@ def _one_of(hints: list[Any], value: Any, what: str) -> Any:
         try:
             return _converted(value, hint, what)
         except TomlError as error:
-            needed.append(str(error).removeprefix(f"{what}, but ").removesuffix(" is needed"))
+            if not str(error).endswith(_NEEDED):
+                raise
+            needed.append(str(error).removeprefix(f"{what}, but ").removesuffix(_NEEDED))
     raise TomlError(f"{what}, but {' or '.join(needed)} is needed")

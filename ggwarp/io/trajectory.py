@@ -11,7 +11,14 @@ from numpy.typing import ArrayLike
 
 from ggwarp.geometry import se3
 from ggwarp.io.atomic import atomic_write
+from ggwarp.io.guarded import TRAJECTORY, FileError, read_text
+from ggwarp.io.printable import printable, shown
 from ggwarp.types import Float64
+
+_LARGEST = 1e12
+"""Of a time in seconds, a position in metres, and a quaternion's numbers."""
+_LEAST = 1e-6
+"""Of a quaternion's largest number."""
 
 _HEADER = "# timestamp tx ty tz qx qy qz qw (camera to world, metres)\n"
 
@@ -45,20 +52,21 @@ def read_tum(path: str | Path) -> tuple[Float64, Float64]:
         [n] timestamps, seconds, and [n, 4, 4] camera-to-world poses, metres.
 
     Raises:
-        OSError: the file cannot be read.
-        ValueError: a line is not 8 finite numbers with a quaternion; names file and line.
+        FileError: the file cannot be read, or a line (it is named) is not 8 finite numbers with a
+            quaternion.
     """
     stamps, poses = [], []
-    for number, line in enumerate(Path(path).read_text().splitlines(), 1):
+    for number, line in enumerate(read_text(path, TRAJECTORY).splitlines(), 1):
         words = line.split("#", 1)[0].split()
         if not words:
             continue
+        where = f"{printable(str(path))}:{number}: {shown(line.strip())}"
         try:
             values = np.array([float(word) for word in words])
         except ValueError:
-            raise ValueError(f"{path}:{number}: {line.strip()!r} is not a row of numbers") from None
-        if len(values) != 8 or not np.isfinite(values).all() or not values[4:].any():
-            raise ValueError(f"{path}:{number}: {line.strip()!r} is no pose; expected t tx ty tz qx qy qz qw")
+            raise FileError(f"{where} is not a row of numbers") from None
+        if len(values) != 8 or not (np.abs(values) < _LARGEST).all() or not np.abs(values[4:]).max() > _LEAST:
+            raise FileError(f"{where} is no pose; expected t tx ty tz qx qy qz qw")
         T_wc = np.eye(4)
         T_wc[:3, :3] = se3.matrix_from_quat(values[[7, 4, 5, 6]])
         T_wc[:3, 3] = values[1:4]

@@ -11,10 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggwarp.geometry.boxes import Box, OrientedBox, Vector, axis_aligned_box, main_parts, oriented_box
+from ggwarp.io.printable import shown
 from ggwarp.map.gaussians import SH_C0
 from ggwarp.objects.class_table import NO_OBJECT
 from ggwarp.objects.visibility import ObjectVisibility
 from ggwarp.types import Float32
+
+_FARTHEST = 1e9
+"""Of any number of a record."""
+_LONGEST_NAME = 1000
+"""Characters of a class or label."""
 
 
 @dataclass(frozen=True)
@@ -74,23 +80,30 @@ class ObjectRecord:
         """Return the record of an entry of ``objects.json``.
 
         Raises:
-            KeyError, TypeError, ValueError: it is no such entry.
+            ValueError: it is no such entry; says which of its values.
         """
-        own = {f.name for f in dataclasses.fields(cls)}
-        values = {key: value for key, value in entry.items() if key in own}
-        box, oriented = entry["box"], entry["oriented_box"]
-        values |= {
-            "id": int(entry["id"]),
-            "source_ids": tuple(map(int, entry["source_ids"])),
-            "class_name": entry["class"],
-            "box": Box(_vector(box["min"]), _vector(box["max"])),
-            "oriented_box": OrientedBox(
-                _vector(oriented["centre"]), _quat(oriented["quat"]), _vector(oriented["half_sizes"])
+        if not isinstance(entry, dict):
+            raise ValueError(f"an object is {shown(entry)}")
+        box, oriented = _dict(entry, "box"), _dict(entry, "oriented_box")
+        return cls(
+            id=_whole(entry, "id", least=1),
+            source_ids=tuple(_whole({"source_ids": i}, "source_ids") for i in _list(entry, "source_ids")),
+            class_name=_text(entry, "class"),
+            label=_text(entry, "label"),
+            count=_whole(entry, "count"),
+            box=Box(_vector(_numbers(box, "min", 3)), _vector(_numbers(box, "max", 3))),
+            oriented_box=OrientedBox(
+                _vector(_numbers(oriented, "centre", 3)),
+                _quat(_numbers(oriented, "quat", 4)),
+                _vector(_numbers(oriented, "half_sizes", 3)),
             ),
-            "centre": _vector(entry["centre"]),
-            "colour": _colour(entry["colour"]),
-        }
-        return cls(**values)
+            centre=_vector(_numbers(entry, "centre", 3)),
+            colour=_colour(_numbers(entry, "colour", 3, least=0.0, most=255.0)),
+            first_frame=_whole_or_none(entry, "first_frame"),
+            last_frame=_whole_or_none(entry, "last_frame"),
+            views=_whole_or_none(entry, "views"),
+            confidence=None if entry.get("confidence") is None else _number(entry, "confidence"),
+        )
 
 
 def inventory(
@@ -172,6 +185,60 @@ def refreshed(
 def centre_of(means: Float32) -> Vector:
     """Return the mean of the main parts of ``means`` [n, 3], which turns and moves as they do."""
     return _vector(means[main_parts(means)].mean(axis=0, dtype=np.float64))
+
+
+def _value(entry: dict[str, Any], key: str) -> Any:
+    if key not in entry:
+        raise ValueError(f"{key} is missing")
+    return entry[key]
+
+
+def _dict(entry: dict[str, Any], key: str) -> dict[str, Any]:
+    value = _value(entry, key)
+    if not isinstance(value, dict):
+        raise ValueError(f"{key} is {shown(value)}")
+    return value
+
+
+def _list(entry: dict[str, Any], key: str) -> list[Any]:
+    value = _value(entry, key)
+    if not isinstance(value, list):
+        raise ValueError(f"{key} is {shown(value)}")
+    return value
+
+
+def _whole(entry: dict[str, Any], key: str, *, least: int = 0) -> int:
+    value = _value(entry, key)
+    if type(value) is not int or not least <= value < 1 << 31:
+        raise ValueError(f"{key} is {shown(value)}")
+    return value
+
+
+def _whole_or_none(entry: dict[str, Any], key: str) -> int | None:
+    return None if entry.get(key) is None else _whole(entry, key)
+
+
+def _number(entry: dict[str, Any], key: str, *, least: float = -_FARTHEST, most: float = _FARTHEST) -> float:
+    value = _value(entry, key)
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not least <= value <= most:
+        raise ValueError(f"{key} is {shown(value)}")
+    return float(value)
+
+
+def _numbers(
+    entry: dict[str, Any], key: str, count: int, *, least: float = -_FARTHEST, most: float = _FARTHEST
+) -> list[float]:
+    values = _list(entry, key)
+    if len(values) != count:
+        raise ValueError(f"{key} is {shown(values)}")
+    return [_number({key: value}, key, least=least, most=most) for value in values]
+
+
+def _text(entry: dict[str, Any], key: str) -> str | None:
+    value = entry.get(key)
+    if value is not None and (not isinstance(value, str) or len(value) > _LONGEST_NAME):
+        raise ValueError(f"{key} is {shown(value)}")
+    return value
 
 
 def _vector(values: Any) -> Vector:

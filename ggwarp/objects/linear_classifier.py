@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggwarp.io.atomic import atomic_write
+from ggwarp.io.guarded import CLASSIFIER, FileError
+from ggwarp.io.npz import read_arrays
+from ggwarp.io.printable import printable
 from ggwarp.types import Float32
+
+_LARGEST = 1e6
+"""Of a weight or bias; trained ones are below a hundred."""
 
 
 @dataclass(frozen=True)
@@ -50,14 +55,17 @@ def read_classifier(path: str | Path) -> LinearClassifier:
     """Read what :func:`write_classifier` wrote.
 
     Raises:
-        OSError: the file cannot be read.
-        ValueError: it holds something else.
+        FileError: the file cannot be read, or holds something else.
     """
     try:
-        with np.load(path) as arrays:
-            found = LinearClassifier(arrays["weights"], arrays["biases"], arrays["ids"])
-    except (KeyError, ValueError, zipfile.BadZipFile):
-        raise ValueError(f"{path}: is no identity classifier; run the sequence again") from None
-    if found.weights.shape != (len(found.ids), 16) or found.biases.shape != found.ids.shape:
-        raise ValueError(f"{path}: its arrays do not fit together; run the sequence again")
-    return found
+        arrays = read_arrays(path, CLASSIFIER, {"weights": "f", "biases": "f", "ids": "iuf"})
+    except FileError as error:
+        raise FileError(f"{error}; run the sequence again") from None
+    weights, biases, ids = arrays["weights"], arrays["biases"], arrays["ids"]
+    if ids.ndim != 1 or weights.shape != (len(ids), 16) or biases.shape != ids.shape:
+        raise FileError(f"{printable(str(path))}: its arrays do not fit together; run the sequence again")
+    if ids.dtype.kind == "f":
+        raise FileError(f"{printable(str(path))}: its ids are {ids.dtype}; run the sequence again")
+    if not all((np.abs(array) < _LARGEST).all() for array in (weights, biases)):
+        raise FileError(f"{printable(str(path))}: holds numbers beyond all bounds; run the sequence again")
+    return LinearClassifier(weights, biases, ids)

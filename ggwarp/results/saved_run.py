@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,8 +11,10 @@ from typing import Any
 
 from ggwarp.geometry.camera import Camera
 from ggwarp.io.camera import read_camera, write_camera
+from ggwarp.io.guarded import OBJECTS, FileError, read_json
 from ggwarp.io.json import write_json
 from ggwarp.io.ply import read_ply, write_ply
+from ggwarp.io.printable import printable, shown
 from ggwarp.io.trajectory import read_tum
 from ggwarp.map.gaussians import Gaussians
 from ggwarp.objects.inventory import ObjectRecord, inventory, refreshed
@@ -132,8 +133,25 @@ def save_run(run: SavedRun, folder: str | Path) -> None:
 
 def _read_objects(path: Path) -> tuple[tuple[ObjectRecord, ...], tuple[dict[str, Any], ...]]:
     try:
-        values = json.loads(path.read_text())
-        objects = tuple(ObjectRecord.from_json(entry) for entry in values["objects"])
-        return objects, tuple(values.get("edits", ()))
-    except (KeyError, TypeError, ValueError, AttributeError):
-        raise RunError(f"{path}: is not as this version writes it; run the sequence again") from None
+        values = read_json(path, OBJECTS)
+    except FileError as error:
+        raise RunError(str(error)) from None
+    try:
+        entries, edits = values["objects"], values.get("edits", [])
+        if not isinstance(entries, list) or not isinstance(edits, list):
+            raise ValueError("objects and edits are no lists")
+        for edit in edits:
+            if not isinstance(edit, dict) or not isinstance(edit.get("edit"), str) or not _shallow(edit):
+                raise ValueError(f"an edit is {shown(edit)}")
+        return tuple(ObjectRecord.from_json(entry) for entry in entries), tuple(edits)
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        reason = str(error) if type(error) is ValueError else "the list of objects is missing"
+        raise RunError(
+            f"{printable(str(path))}: is not as this version writes it ({reason}); run the sequence again"
+        ) from None
+
+
+def _shallow(value: Any, most: int = 8) -> bool:
+    """Return whether ``value`` is nested at most so many times: deeper, it could not be written again."""
+    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    return most >= 0 and all(_shallow(v, most - 1) for v in inner)

@@ -11,14 +11,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ggwarp.datasets import DatasetError, open_dataset
-from ggwarp.datasets.tum import nearest, open_sequence
+from ggwarp.datasets import DatasetError, FrameError, open_dataset
+from ggwarp.datasets.tum import POSE_GAP, POSE_TOLERANCE, interpolated, nearest, open_sequence
+from ggwarp.geometry import se3
 
 Maker = Callable[..., Path]
 
 
-def test_each_colour_image_takes_the_nearest_depth_and_pose(make_tum: Maker) -> None:
-    folder = make_tum([1.0, 1.1, 1.2], [0.99, 1.115, 1.105, 1.221], [0.93, 1.05, 1.19])
+def test_each_colour_image_takes_the_nearest_depth_and_the_pose_between(make_tum: Maker) -> None:
+    folder = make_tum([1.0, 1.1, 1.2], [0.99, 1.115, 1.105, 1.221], [0.95, 1.05, 1.12, 1.19])
     dataset = open_sequence(folder)
     # 1.2 has no depth within 0.02 s; 1.1 takes depth 2, not 1.
     assert len(dataset) == 2
@@ -27,12 +28,86 @@ def test_each_colour_image_takes_the_nearest_depth_and_pose(make_tum: Maker) -> 
     assert [int(frame.rgb[0, 0, 2]) for frame in frames] == [0, 1]
     depths = [frame.depth[5, 5] for frame in frames if frame.depth is not None]
     np.testing.assert_allclose(depths, [1000 / 5000, 1002 / 5000])
-    assert [frame.T_wc is not None and frame.T_wc[0, 3] for frame in frames] == [1, 1]
+    places = [None if frame.T_wc is None else frame.T_wc[0, 3] for frame in frames]
+    assert places == pytest.approx([0.5, 1.0 + 5 / 7])
 
 
 def test_a_pose_too_far_in_time_is_unknown(make_tum: Maker) -> None:
-    dataset = open_sequence(make_tum([1.0, 2.0], [1.0, 2.0], [1.079, 2.081]))
-    assert dataset[0].T_wc is not None and dataset[1].T_wc is None
+    dataset = open_sequence(make_tum([1.0, 2.0, 3.0], [1.0, 2.0, 3.0], [1.004, 2.006, 2.96, 3.08]))
+    assert dataset[0].T_wc is not None and dataset[1].T_wc is None and dataset[2].T_wc is None
+
+
+def test_a_pose_between_two_turns_evenly() -> None:
+    ends = [se3.se3_exp([0, 0, 0, 0, 0, angle]) for angle in (0.2, 0.6)]
+    (T_wc,) = interpolated(np.array([0.025]), np.array([0.0, 0.1]), ends)
+    np.testing.assert_allclose(T_wc, se3.se3_exp([0, 0, 0, 0, 0, 0.3]), atol=1e-12)
+
+
+def test_poses_that_are_none_are_passed_over() -> None:
+    """A damaged row is as good as a missing one."""
+    first, last = np.eye(4), se3.se3_exp([1, 0, 0, 0, 0, 0])
+    found = interpolated(np.array([0.03, 0.5]), np.array([0.06, 0.03, 0.0]), [last, None, first])
+    np.testing.assert_allclose(found[0], se3.se3_exp([0.5, 0, 0, 0, 0, 0]), atol=1e-12)
+    assert found[1] is None
+
+
+@given(
+    stamps=st.lists(st.floats(0, 1), max_size=8).map(np.array),
+    others=st.lists(st.floats(0, 1), max_size=8).map(np.array),
+)
+def test_an_interpolated_pose_lies_between_rows_that_are_close(
+    stamps: np.ndarray, others: np.ndarray
+) -> None:
+    """Poses move at 1 m/s: each place tells the time it was made for."""
+    poses = [se3.se3_exp([t, 0, 0, 0, 0, 0]) for t in others.tolist()]
+    for stamp, T_wc in zip(stamps.tolist(), interpolated(stamps, others, poses), strict=True):
+        before, after = others[others <= stamp], others[others >= stamp]
+        close = len(before) and len(after) and after.min() - before.max() <= POSE_GAP
+        if close and T_wc is not None:
+            assert T_wc[0, 3] == pytest.approx(stamp, abs=1e-9)
+        elif T_wc is not None:
+            assert abs(T_wc[0, 3] - stamp) <= POSE_TOLERANCE
+        else:
+            assert not close and (not len(others) or np.abs(others - stamp).min() > POSE_TOLERANCE)
+
+
+@pytest.mark.parametrize("name", ["rgb.txt", "depth.txt"])
+def test_a_recording_without_one_of_its_lists_is_no_plain_folder(make_tum: Maker, name: str) -> None:
+    folder = make_tum([0.0], [0.0], [0.0])
+    (folder / name).unlink()
+    with pytest.raises(DatasetError, match=rf"own: {name} is missing"):
+        open_dataset(str(folder), data_root=folder)
+    (folder / ("depth.txt" if name == "rgb.txt" else "rgb.txt")).unlink()
+    with pytest.raises(DatasetError, match="groundtruth"):
+        open_dataset(str(folder), data_root=folder)
+
+
+@pytest.mark.parametrize(
+    "name", ["/dev/zero", "../other.png", "rgb/../../other.png", "/etc/passwd", "rgb", "a\0b"]
+)
+def test_a_name_that_is_no_file_of_the_recording_costs_its_frame(
+    make_tum: Maker, sample: SimpleNamespace, name: str
+) -> None:
+    folder = make_tum([0.0, 1.0, 2.0], [0.0, 1.0, 2.0])
+    sample.save(folder.parent / "other.png", sample.colour(1))
+    for file in ("rgb.txt", "depth.txt"):
+        lines = (folder / file).read_text().splitlines()
+        (folder / file).write_text("\n".join([*lines[:2], f"1.0 {name}", lines[3]]))
+    dataset = open_sequence(folder)
+    assert len(dataset) == 3 and dataset[2].timestamp == 2.0
+    with pytest.raises(FrameError, match=r"lies outside|is a folder|no file can have"):
+        dataset[1]
+
+
+def test_a_link_in_the_recording_may_lead_out_of_it(
+    make_tum: Maker, sample: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = make_tum([0.0], [0.0])
+    (folder / "rgb").rename(folder.parent / "elsewhere")
+    (folder / "rgb").symlink_to(folder.parent / "elsewhere")
+    assert open_sequence(folder)[0].rgb.shape == (16, 24, 3)
+    monkeypatch.chdir(folder.parent)
+    assert open_sequence(Path("own"))[0].rgb.shape == (16, 24, 3)
 
 
 def test_without_truth_a_recording_runs(make_tum: Maker) -> None:

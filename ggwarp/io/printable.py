@@ -1,0 +1,29 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Text that somebody else wrote, made fit for a terminal and for one line."""
+
+from __future__ import annotations
+
+from typing import Any
+
+_LONGEST = 80
+
+
+def printable(text: str) -> str:
+    """Return ``text`` with all that is not plainly visible as an escape: ``\\x1b``, ``\\n``, ``\\udcff``.
+
+    What comes back holds no control character, no line break, no mark that turns the direction of writing and
+    no half of a surrogate pair, so that it can be printed anywhere. Doing it twice changes nothing.
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
+def shown(value: Any) -> str:
+    """Return ``value`` as a message shows it: printable, and no longer than about 80 characters."""
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):  # a number of thousands of digits; lists in lists in lists
+        return f"a {type(value).__name__} beyond all bounds"
+    text = printable(text)
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 20]}... ({len(text):,} characters)"
