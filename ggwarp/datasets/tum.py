@@ -38,7 +38,7 @@ DEPTH_TOLERANCE = 0.02
 POSE_GAP = 0.11
 """Largest time between two true poses for one between them to be told from both, seconds: three frames."""
 POSE_TOLERANCE = 0.005
-"""Largest time from an image to a true pose without another one beyond it in reach, seconds."""
+"""Largest time between an image and a true pose taken at its time, seconds: half of what truth is apart."""
 
 _DEPTH_SCALE = 5000.0
 _CAMERAS = {
@@ -77,7 +77,7 @@ def recognises(path: Path) -> bool:
 def open_sequence(path: Path, masks: Masks = None) -> FileSequence:
     """Open a recording; colour images without a depth image within 0.02 s are left out.
 
-    An image's true pose is interpolated between those before and after it, where these are close.
+    An image's true pose is the one of its time, or else lies between those before and after it.
 
     Raises:
         DatasetError: a list is missing, no pair of images, an unknown camera, or malformed lists.
@@ -131,8 +131,8 @@ def nearest(stamps: Float64, others: Float64, *, tolerance: float) -> np.ndarray
 def interpolated(stamps: Float64, others: Float64, poses: Sequence[Float64 | None]) -> list[Float64 | None]:
     """Return the pose at each of ``stamps`` [n] out of ``poses`` at the times ``others`` [m].
 
-    Between two poses at most :data:`POSE_GAP` apart it moves and turns evenly; elsewhere the nearest counts
-    where it is within :data:`POSE_TOLERANCE`, else there is none.
+    The nearest counts where it is within :data:`POSE_TOLERANCE`; between two poses at most :data:`POSE_GAP`
+    apart the camera moves and turns evenly; elsewhere there is no pose.
     """
     known = [i for i in np.argsort(others, kind="stable").tolist() if poses[i] is not None]
     times = others[known]
@@ -143,18 +143,18 @@ def interpolated(stamps: Float64, others: Float64, poses: Sequence[Float64 | Non
         if not beside:
             return None
         ends = [poses[known[i]] for i in beside]
+        nearer = int(np.argmin(np.abs(times[beside] - stamp)))
+        if abs(times[beside[nearer]] - stamp) <= POSE_TOLERANCE:
+            return ends[nearer]
         span = float(times[beside[-1]] - times[beside[0]])
         if 0.0 < span <= POSE_GAP:
             return _between(ends[0], ends[1], float(stamp - times[beside[0]]) / span)
-        nearer = int(np.argmin(np.abs(times[beside] - stamp)))
-        return ends[nearer] if abs(times[beside[nearer]] - stamp) <= POSE_TOLERANCE else None
+        return None
 
     return [at(stamp) for stamp in stamps.tolist()]
 
 
 def _between(first: Any, second: Any, share: float) -> Float64:
-    if share in (0.0, 1.0):
-        return first if share == 0.0 else second
     T = first.copy()
     T[:3, 3] += share * (second[:3, 3] - first[:3, 3])
     T[:3, :3] = first[:3, :3] @ se3.so3_exp(share * se3.so3_log(first[:3, :3].T @ second[:3, :3]))

@@ -159,6 +159,33 @@ def test_masks_of_another_size_are_resampled_with_one_warning(
     assert len(caplog.records) == 1 and "12x8, but the colour image is 24x16" in caplog.text
 
 
+@pytest.mark.parametrize("step", [1, 3])
+def test_a_picture_in_a_masks_place_is_left_aside_with_one_warning(
+    make_folder: Maker, sample: SimpleNamespace, caplog: pytest.LogCaptureFixture, step: int
+) -> None:
+    """As many ids as pixels, or one per three of them; at most 256 are always taken."""
+    folder = make_folder(3)
+    ids = (np.arange(90 * 120) // step).reshape(90, 120)
+    for i in range(2):
+        bgr = np.stack([ids >> 16, (ids >> 8) & 255, ids & 255], axis=-1).astype(np.uint8)
+        sample.save(folder / f"object_mask/{i}.png", bgr)
+    sample.save(folder / "object_mask/2.png", (ids[:16, :24] % 256).astype(np.uint8))
+    dataset = open_dataset(str(folder), data_root=folder)
+    masks = [dataset[i].mask for i in range(3)]
+    assert masks[0] is None and masks[1] is None and masks[2] is not None
+    (record,) = caplog.records
+    assert f"holds {len(np.unique(ids))} ids, more than 540: is it a picture of ids?" in record.getMessage()
+
+
+def test_large_ids_are_not_many_ids(make_folder: Maker, sample: SimpleNamespace) -> None:
+    folder = make_folder(1)
+    bgr = np.full((16, 24, 3), 255, np.uint8)
+    bgr[:, :12] = 0
+    sample.save(folder / "object_mask/0.png", bgr)
+    mask = open_dataset(str(folder), data_root=folder)[0].mask
+    assert mask is not None and set(np.unique(mask)) == {0, (1 << 24) - 1}
+
+
 def test_an_unreadable_mask_costs_the_mask_not_the_frame(
     make_replica: Maker, caplog: pytest.LogCaptureFixture
 ) -> None:

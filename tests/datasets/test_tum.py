@@ -63,12 +63,13 @@ def test_an_interpolated_pose_lies_between_rows_that_are_close(
     for stamp, T_wc in zip(stamps.tolist(), interpolated(stamps, others, poses), strict=True):
         before, after = others[others <= stamp], others[others >= stamp]
         close = len(before) and len(after) and after.min() - before.max() <= POSE_GAP
-        if close and T_wc is not None:
-            assert T_wc[0, 3] == pytest.approx(stamp, abs=1e-9)
-        elif T_wc is not None:
-            assert abs(T_wc[0, 3] - stamp) <= POSE_TOLERANCE
+        there = len(others) and np.abs(others - stamp).min() <= POSE_TOLERANCE
+        if there:
+            assert T_wc is not None and abs(T_wc[0, 3] - stamp) <= POSE_TOLERANCE
+        elif close:
+            assert T_wc is not None and T_wc[0, 3] == pytest.approx(stamp, abs=1e-9)
         else:
-            assert not close and (not len(others) or np.abs(others - stamp).min() > POSE_TOLERANCE)
+            assert T_wc is None
 
 
 @pytest.mark.parametrize("name", ["rgb.txt", "depth.txt"])
