@@ -135,7 +135,7 @@ def _read_objects(path: Path) -> tuple[tuple[ObjectRecord, ...], tuple[dict[str,
     try:
         values = read_json(path, OBJECTS)
     except FileError as error:
-        raise RunError(str(error)) from None
+        raise RunError(f"{error}; not as this version writes it: run the sequence again") from None
     try:
         entries, edits = values["objects"], values.get("edits", [])
         if not isinstance(entries, list) or not isinstance(edits, list):
