@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -207,26 +208,20 @@ class Classifier:
 
     def classify_image(self, image: wp.array, height: int, width: int) -> tuple[NDArray[np.int32], Float32]:
         """Return the likeliest class of each pixel of a render [20, Hp, Wp], and its probability."""
-        labels = wp.empty((height, width), dtype=int, device=self._device)
-        probabilities = wp.empty((height, width), dtype=float, device=self._device)
-        classify_pixels(
-            image,
-            weights=self._weights,
-            biases=self._biases,
-            classes=self.count,
-            labels=labels,
-            probabilities=probabilities,
-            device=self._device,
-        )
-        return np.asarray(to_host(labels), np.int32), np.asarray(to_host(probabilities), np.float32)
+        return self._classified(classify_pixels, image, height, width)
 
     def classify_map(self) -> tuple[NDArray[np.int32], Float32]:
         """Return [n] the likeliest class of each Gaussian and [n] its probability."""
         n = self._map.count
-        labels = wp.empty(n, dtype=int, device=self._device)
-        probabilities = wp.empty(n, dtype=float, device=self._device)
-        classify_gaussians(
-            self._map.fields["identities"][:n],
+        return self._classified(classify_gaussians, self._map.fields["identities"][:n], n)
+
+    def _classified(
+        self, classify: Callable[..., None], identities: Any, *shape: int
+    ) -> tuple[NDArray[np.int32], Float32]:
+        labels = wp.empty(shape, dtype=int, device=self._device)
+        probabilities = wp.empty(shape, dtype=float, device=self._device)
+        classify(
+            identities,
             weights=self._weights,
             biases=self._biases,
             classes=self.count,

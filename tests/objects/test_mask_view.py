@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where a frame's pixels are, and what its mask asks of the map."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ggwarp.geometry import se3
@@ -8,15 +10,6 @@ from ggwarp.geometry.camera import Camera
 from ggwarp.objects.mask_view import MapKnowledge, MaskView, PosedDepth, targets_without_mask
 
 CAMERA = Camera(60, 40, 50.0, 50.0, 29.5, 19.5)
-
-
-def wall_from(x: float, z: float = 2.0) -> tuple[PosedDepth, np.ndarray]:
-    """Return the view of a wall at z = 2 m from (x, 0, 2 - z), and a mask of the square -0.3..0.3 m on it."""
-    T_wc = np.eye(4)
-    T_wc[:3, 3] = x, 0.0, 2.0 - z
-    view = PosedDepth(np.full((40, 60), z, np.float32), T_wc, CAMERA)
-    points = view.points(np.ones((40, 60), bool), 60 * 40).reshape(40, 60, 3)
-    return view, (np.abs(points[..., :2]) < 0.3).all(axis=2)
 
 
 def test_points_and_pixels_are_each_other_s_inverse() -> None:
@@ -27,7 +20,7 @@ def test_points_and_pixels_are_each_other_s_inverse() -> None:
     assert view.look_up(view.points(numbers >= 0, 9999), numbers).tolist() == list(range(40 * 60))
 
 
-def test_only_points_that_a_view_shows_are_looked_up() -> None:
+def test_only_points_that_a_view_shows_are_looked_up(wall_from: Callable) -> None:
     view, square = wall_from(0.0)
     points = view.points(square, 64)
     in_front = PosedDepth(np.full((40, 60), 1.0, np.float32), view.T_wc, CAMERA)
@@ -47,7 +40,7 @@ def test_points_of_the_grid_are_those_of_its_pixels(rng: np.random.Generator) ->
     np.testing.assert_array_equal(surface.grid_points.reshape(-1, 3), surface.every_point(pixels))
 
 
-def test_what_the_map_is_certain_of_is_not_learnt_otherwise() -> None:
+def test_what_the_map_is_certain_of_is_not_learnt_otherwise(wall_from: Callable) -> None:
     view, square = wall_from(0.0)
     labels = np.where(square, 2, -1).astype(np.int32)
     certain = np.full_like(labels, -1)

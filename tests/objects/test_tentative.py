@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Following a segment from view to view by points on its surface."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ggwarp.geometry.camera import Camera
@@ -10,16 +12,7 @@ from ggwarp.objects.tentative import Candidates
 CAMERA = Camera(60, 40, 50.0, 50.0, 29.5, 19.5)
 
 
-def wall_from(x: float, z: float = 2.0) -> tuple[PosedDepth, np.ndarray]:
-    """Return the view of a wall at z = 2 m from (x, 0, 2 - z), and a mask of the square -0.3..0.3 m on it."""
-    T_wc = np.eye(4)
-    T_wc[:3, 3] = x, 0.0, 2.0 - z
-    view = PosedDepth(np.full((40, 60), z, np.float32), T_wc, CAMERA)
-    points = view.points(np.ones((40, 60), bool), 60 * 40).reshape(40, 60, 3)
-    return view, (np.abs(points[..., :2]) < 0.3).all(axis=2)
-
-
-def test_a_segment_is_recognised_from_elsewhere() -> None:
+def test_a_segment_is_recognised_from_elsewhere(wall_from: Callable) -> None:
     candidates = Candidates(2)
     for number, x, z in ((3, 0.0, 2.0), (1, 0.2, 1.8), (2, -0.2, 1.5)):
         view, square = wall_from(x, z)
@@ -27,7 +20,7 @@ def test_a_segment_is_recognised_from_elsewhere() -> None:
         assert [s for s, _ in found] == ([] if number == 3 else [number])
 
 
-def test_views_that_show_the_whole_speak_against_it() -> None:
+def test_views_that_show_the_whole_speak_against_it(wall_from: Callable) -> None:
     candidates = Candidates(2)
     view, square = wall_from(0.0)
     apart, whole = square.astype(np.int32), np.zeros((40, 60), np.int32)
@@ -37,7 +30,7 @@ def test_views_that_show_the_whole_speak_against_it() -> None:
     assert len(candidates.follow(apart, {1}, view)) == 1
 
 
-def test_a_segment_without_depth_is_not_followed() -> None:
+def test_a_segment_without_depth_is_not_followed(wall_from: Callable) -> None:
     view, square = wall_from(0.0)
     blind = PosedDepth(np.zeros_like(view.depth), view.T_wc, CAMERA)
     candidates = Candidates(1)
