@@ -23,7 +23,11 @@ def _mathml(match: re.Match[str]) -> str:
     latex = html.unescape(match[3])
     tag = _TAG.search(latex)
     latex = _TAG.sub("", latex)
-    if match[2] == "(":
-        return convert(latex)
+    display = "inline" if match[2] == "(" else "block"
+    formula = convert(latex, display=display)
+    if unknown := re.search(r"\\[a-zA-Z]+", formula):
+        raise ValueError(f"{latex.strip()}: {unknown[0]} has no MathML; say it otherwise")
+    if display == "inline":
+        return formula
     number = f'<span style="float: right">({tag[1]})</span>' if tag else ""
-    return f"<div>{number}{convert(latex, display='block')}</div>"
+    return f"<div>{number}{formula}</div>"
