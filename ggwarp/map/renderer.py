@@ -10,10 +10,11 @@ import warp as wp
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
+from ggwarp.kernels.camera import intrinsics_of
 from ggwarp.kernels.math import vec6
 from ggwarp.kernels.optim.adam import GaussianArrays
 from ggwarp.kernels.raster.composite import composite, composite_adjoint
-from ggwarp.kernels.raster.project import intrinsics_of, project
+from ggwarp.kernels.raster.project import project
 from ggwarp.kernels.raster.project_adjoint import pose_levels, project_adjoint
 from ggwarp.kernels.raster.sampling import Sample
 from ggwarp.kernels.raster.tiles import TILE, TileCapacityError, bin_splats

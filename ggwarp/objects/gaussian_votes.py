@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
+from ggwarp.kernels.camera import intrinsics_of
 from ggwarp.kernels.identity.label_fusion import fuse_labels, gather_evidence
 from ggwarp.kernels.math import vec16
-from ggwarp.kernels.raster.project import intrinsics_of
 from ggwarp.map.gaussian_map import GaussianMap
 from ggwarp.objects.class_table import IGNORED, ClassTable
 from ggwarp.objects.classifier import Classifier

@@ -11,9 +11,10 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from ggwarp.geometry.camera import Camera
+from ggwarp.kernels.camera import intrinsics_of
 from ggwarp.kernels.math import vec6, vec16
 from ggwarp.kernels.raster.composite import composite, composite_adjoint
-from ggwarp.kernels.raster.project import TILE, Splats, intrinsics_of, project
+from ggwarp.kernels.raster.project import TILE, Splats, project
 from ggwarp.kernels.raster.project_adjoint import pose_levels, project_adjoint
 from ggwarp.kernels.raster.tiles import TileArrays, TileCapacityError, bin_splats, tiles_across
 from ggwarp.kernels.workspaces import allocate_slot_gradients, allocate_splats, allocate_tiles

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
+from ggwarp.kernels.camera import intrinsics_of
 from ggwarp.kernels.photometric import alignment, image_pyramid
-from ggwarp.kernels.raster.project import intrinsics_of
 from ggwarp.runtime.streams import to_host
 from ggwarp.types import Float32, Float64
 

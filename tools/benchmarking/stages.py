@@ -13,11 +13,12 @@ import warp as wp
 
 from benchmarking.inputs.scene import Load, load_of
 from ggwarp.geometry.camera import Camera
+from ggwarp.kernels.camera import intrinsics_of
 from ggwarp.kernels.losses.rgbd import LOSS_COUNT, rgbd_loss
 from ggwarp.kernels.math import vec16
 from ggwarp.kernels.optim.adam import AdamRates, adam_gaussians
 from ggwarp.kernels.raster.composite import composite, composite_adjoint
-from ggwarp.kernels.raster.project import intrinsics_of, project
+from ggwarp.kernels.raster.project import project
 from ggwarp.kernels.raster.project_adjoint import project_adjoint
 from ggwarp.kernels.raster.tiles import bin_splats
 from ggwarp.kernels.workspaces import allocate_loss, allocate_slot_gradients, allocate_splats

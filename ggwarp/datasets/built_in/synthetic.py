@@ -18,6 +18,7 @@ from ggwarp.datasets.built_in.office import HEIGHT, LENGTH, WIDTH, build_office
 from ggwarp.datasets.built_in.scene import Shape, device_primitives, looking
 from ggwarp.datasets.built_in.wall import build_wall, wall_trajectory
 from ggwarp.geometry.camera import Camera
+from ggwarp.kernels.camera import intrinsics_of
 from ggwarp.kernels.scene import raycast, shading
 from ggwarp.types import Float64, Frame
 
@@ -142,7 +143,7 @@ class SyntheticScene:
             primitives,
             balls,
             light,
-            _ray_camera(self.camera),
+            intrinsics_of(self.camera),
             wp.mat44(*np.asarray(T_wc, np.float32).ravel().tolist()),
             lists=wp.empty((tiles, count), dtype=int, device=device),
             starts=wp.empty((tiles, count), dtype=float, device=device),
@@ -226,13 +227,6 @@ def _pose(time: float, featureless_wall: bool) -> Float64:
     T_wc = np.eye(4)
     T_wc[:3, :3], T_wc[:3, 3] = looking(heading, pitch, roll), position
     return T_wc
-
-
-def _ray_camera(camera: Camera) -> Any:
-    out = raycast.RayCamera()
-    out.fx, out.fy, out.cx, out.cy = camera.fx, camera.fy, camera.cx, camera.cy
-    out.width, out.height = camera.width, camera.height
-    return out
 
 
 @lru_cache(maxsize=4)

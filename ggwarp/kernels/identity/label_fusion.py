@@ -10,8 +10,9 @@ from typing import Any
 
 import warp as wp
 
+from ggwarp.kernels.camera import CameraIntrinsics
 from ggwarp.kernels.math import transform_point, vec16
-from ggwarp.kernels.raster.project import NEAR, CameraIntrinsics
+from ggwarp.kernels.raster.project import NEAR
 from ggwarp.runtime.launch import launch_split
 
 wp.set_module_options({"enable_backward": False})

@@ -15,8 +15,8 @@ from typing import Any
 
 import warp as wp
 
+from ggwarp.kernels.camera import CameraIntrinsics
 from ggwarp.kernels.math import rotation_of, transform_point, vec6
-from ggwarp.kernels.raster.project import CameraIntrinsics
 from ggwarp.runtime.launch import launch_split
 
 wp.set_module_options({"enable_backward": False})

@@ -18,6 +18,7 @@ from typing import Any
 
 import warp as wp
 
+from ggwarp.kernels.camera import CameraIntrinsics
 from ggwarp.kernels.math import (
     quat_to_matrix,
     rotation_of,
@@ -35,26 +36,6 @@ SLOPE_LOW_PASS = wp.constant(0.03)
 LOG_ALPHA_MIN = wp.constant(-math.log(255.0))
 MAX_REACH = wp.constant(2.0 * math.log(255.0) * 1.01)
 SH_C0 = wp.constant(0.28209479177387814)
-
-
-@wp.struct
-class CameraIntrinsics:
-    """A pinhole camera on the device, pixels; integer coordinates are pixel centres."""
-
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    width: int
-    height: int
-
-
-def intrinsics_of(camera: Any) -> CameraIntrinsics:
-    """Return the device struct of ``camera`` (:class:`ggwarp.types.Camera`)."""
-    out = CameraIntrinsics()
-    out.fx, out.fy, out.cx, out.cy = camera.fx, camera.fy, camera.cx, camera.cy
-    out.width, out.height = camera.width, camera.height
-    return out
 
 
 @dataclass(frozen=True)
@@ -289,7 +270,7 @@ def project(
         colours: vec3, degree-0 spherical harmonics.
         identities: vec16, only looked at for numbers that are not finite; or None.
         T_cw: [1] mat44, world to camera.
-        camera: see :func:`intrinsics_of`.
+        camera: see :func:`ggwarp.kernels.camera.intrinsics_of`.
         count: rows in use.
         out: see :class:`Splats`.
     """

@@ -11,6 +11,7 @@ from itertools import pairwise
 
 import warp as wp
 
+from ggwarp.kernels.camera import CameraIntrinsics
 from ggwarp.kernels.math import (
     quat_to_matrix,
     quat_to_matrix_adjoint,
@@ -23,7 +24,6 @@ from ggwarp.kernels.raster.project import (
     LOW_PASS,
     SH_C0,
     SLOPE_LOW_PASS,
-    CameraIntrinsics,
     conic_of,
     depth_slope,
     exp_each,

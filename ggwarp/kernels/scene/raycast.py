@@ -9,12 +9,12 @@ from typing import Any
 
 import warp as wp
 
+from ggwarp.kernels.camera import CameraIntrinsics
 from ggwarp.kernels.math import translation_of
 from ggwarp.kernels.scene.primitives import Primitive, face_of, world_normal
 from ggwarp.kernels.scene.rays import (
     TILE,
     Hit,
-    RayCamera,
     blocked,
     cast_at,
     cast_ray,
@@ -89,7 +89,7 @@ def _insert(
 def _cull_kernel(
     offset: int,
     bounds: wp.array[wp.vec4],
-    camera: RayCamera,
+    camera: CameraIntrinsics,
     T_wc: wp.mat44,
     lists: wp.array2d[int],
     starts: wp.array2d[float],
@@ -135,7 +135,7 @@ def _trace_kernel(
     lists: wp.array2d[int],
     starts: wp.array2d[float],
     counts: wp.array[int],
-    camera: RayCamera,
+    camera: CameraIntrinsics,
     T_wc: wp.mat44,
     faces: wp.array2d[int],
     depth: wp.array2d[float],
@@ -166,7 +166,7 @@ def _shade_kernel(
     starts: wp.array2d[float],
     counts: wp.array[int],
     light: Light,
-    camera: RayCamera,
+    camera: CameraIntrinsics,
     T_wc: wp.mat44,
     faces: wp.array2d[int],
     colour: wp.array3d[wp.uint8],
@@ -241,7 +241,7 @@ def render(
         primitives: [n] Primitive.
         bounds: [n] vec4, a ball (centre, radius) around each, metres, world frame.
         light: Light, baked.
-        camera: RayCamera.
+        camera: CameraIntrinsics.
         T_wc: wp.mat44 camera-to-world.
         lists, starts: [tiles, n] int and float, scratch; tiles are TILE pixels square, row by row.
         counts: [tiles] int, scratch.

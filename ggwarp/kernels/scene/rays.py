@@ -3,6 +3,7 @@
 
 import warp as wp
 
+from ggwarp.kernels.camera import CameraIntrinsics
 from ggwarp.kernels.math import rotation_of
 from ggwarp.kernels.scene.primitives import Primitive, intersect
 
@@ -17,18 +18,6 @@ _NEAREST = wp.constant(1.0e-3)
 
 
 @wp.struct
-class RayCamera:
-    """A pinhole camera of ``width`` x ``height`` pixels."""
-
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    width: int
-    height: int
-
-
-@wp.struct
 class Hit:
     """A ray's first crossing: its parameter, the primitive (-1: none), the unit shape's normal."""
 
@@ -38,13 +27,13 @@ class Hit:
 
 
 @wp.func
-def pixel_ray(camera: RayCamera, T_wc: wp.mat44, u: float, v: float) -> wp.vec3:
+def pixel_ray(camera: CameraIntrinsics, T_wc: wp.mat44, u: float, v: float) -> wp.vec3:
     """World direction of a pixel's ray, its length such that the ray parameter is the z-depth."""
     return rotation_of(T_wc) * wp.vec3((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, 1.0)
 
 
 @wp.func
-def tile_of(camera: RayCamera, column: int, row: int) -> int:
+def tile_of(camera: CameraIntrinsics, column: int, row: int) -> int:
     return (row // _K_TILE) * ((camera.width + _K_TILE - 1) // _K_TILE) + column // _K_TILE
 
 

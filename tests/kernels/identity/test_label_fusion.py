@@ -6,9 +6,9 @@ import warp as wp
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
+from ggwarp.kernels.camera import intrinsics_of
 from ggwarp.kernels.identity.label_fusion import fuse_labels, gather_evidence
 from ggwarp.kernels.math import vec16
-from ggwarp.kernels.raster.project import intrinsics_of
 
 CAMERA = Camera(40, 30, 35.0, 36.0, 19.0, 14.5)
 TOLERANCE = 0.02

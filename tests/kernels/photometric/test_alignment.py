@@ -7,8 +7,8 @@ import warp as wp
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
+from ggwarp.kernels.camera import intrinsics_of
 from ggwarp.kernels.photometric import alignment
-from ggwarp.kernels.raster.project import intrinsics_of
 
 CAMERA = Camera(70, 11, 60.0, 62.0, 34.2, 5.1)
 NOISE, ROBUST, EDGE = 0.05, 3.0, 0.05

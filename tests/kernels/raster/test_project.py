@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
+from ggwarp.kernels.camera import intrinsics_of
 from ggwarp.kernels.math import vec6, vec16
-from ggwarp.kernels.raster.project import intrinsics_of, project
+from ggwarp.kernels.raster.project import project
 from ggwarp.kernels.raster.project_adjoint import pose_levels, project_adjoint
 from ggwarp.kernels.raster.tiles import bin_splats
 from ggwarp.kernels.workspaces import allocate_slot_gradients, allocate_splats, allocate_tiles

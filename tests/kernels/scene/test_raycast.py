@@ -6,7 +6,9 @@ import pytest
 import warp as wp
 
 from ggwarp.datasets.built_in.scene import Material, SceneBuilder, device_primitives
+from ggwarp.geometry.camera import Camera
 from ggwarp.geometry.se3 import so3_exp
+from ggwarp.kernels.camera import intrinsics_of
 from ggwarp.kernels.scene import primitives as prims
 from ggwarp.kernels.scene import procedural, raycast, shading
 from ggwarp.ops.reference import raycast as reference
@@ -149,9 +151,7 @@ def test_a_rectangle_shows_its_normal_to_the_ray(device):
 
 def _view(shapes, device, *, width=37, height=21, f=30.0, T_wc=None, without=()):
     """Render ``shapes`` under even light."""
-    camera = raycast.RayCamera()
-    camera.fx, camera.fy, camera.cx, camera.cy = f, f, 0.5 * (width - 1), 0.5 * (height - 1)
-    camera.width, camera.height = width, height
+    camera = intrinsics_of(Camera(width, height, f, f, 0.5 * (width - 1), 0.5 * (height - 1)))
     light = shading.Light()
     light.ambient, light.cell = 1.0, 1.0
     light.grid = wp.full((2, 2, 2), wp.vec4(1.0, 1.0, 1.0, 1.0), dtype=wp.vec4, device=device)
