@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ggwarp import Camera, Frame, FrameReader, Slam, SlamConfig, SyntheticOffice, open_dataset
-from ggwarp.datasets import Dataset, DatasetError, FrameError, Kind, register
+from ggwarp.datasets import FrameError, Kind, register
 
 
 class Arrays:
@@ -40,14 +40,7 @@ def recognises(path: Path) -> bool:
     return any(path.glob("*.npz"))
 
 
-def open_arrays(path: Path, masks: object = None, intrinsics: object = None) -> Dataset:
-    if not (path / "camera.json").is_file():
-        raise DatasetError(f"{path}: has no camera.json; write width, height, fx, fy, cx and cy there")
-    return Arrays(path)
-
-
 def main(folder: Path = Path("data/own"), frames: int = 6, scale: float = 0.15) -> None:
-    # Something to read.
     folder.mkdir(parents=True, exist_ok=True)
     office = SyntheticOffice(frames=120, scale=scale)
     (folder / "camera.json").write_text(json.dumps(vars(office.camera)))
@@ -55,12 +48,11 @@ def main(folder: Path = Path("data/own"), frames: int = 6, scale: float = 0.15) 
         np.savez(folder / f"{i:04d}.npz", rgb=office[i].rgb, depth=office[i].depth)
 
     # From here on `open_dataset` knows the kind, by what `recognises` sees in a folder.
-    register(Kind("arrays", "camera.json and *.npz", recognises, open_arrays))
+    register(Kind("arrays", "camera.json and *.npz", recognises, lambda path, masks: Arrays(path)))
     dataset = open_dataset(str(folder), data_root=Path("data"))
     with FrameReader(dataset, range(len(dataset)), scale=1.0) as reader:
         slam = Slam(SlamConfig(use_identity=False), reader.camera, reader.sensor_camera, device="cpu")
-        for frame in reader:
-            print(slam.step(frame).verdict.value)
+        print(*(slam.step(frame).verdict.value for frame in reader), sep="\n")
 
 
 if __name__ == "__main__":

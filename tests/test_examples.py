@@ -8,6 +8,7 @@ import pytest
 
 from ggwarp import load_run
 from ggwarp.datasets import KINDS
+from ggwarp.pipeline.tracking.tracker import TRACKERS
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
@@ -22,7 +23,7 @@ def example(name):
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.py")), ids=lambda p: p.stem)
 def test_an_example_is_short_and_tested(path):
     lines = path.read_text().splitlines()
-    assert len(lines) <= 75 and f"python examples/{path.name}" in lines[3]
+    assert len(lines) < 60 and f"python examples/{path.name}" in lines[3]
     assert f'example("{path.stem}")' in Path(__file__).read_text()
 
 
@@ -44,6 +45,16 @@ def test_own_dataset(tmp_path, capsys):
     finally:
         KINDS[:] = kinds
     assert capsys.readouterr().out.split() == 3 * ["converged"]
+
+
+def test_own_tracker(capsys):
+    trackers = dict(TRACKERS)
+    try:
+        example("own_tracker").main(frames=3, scale=0.1)
+    finally:
+        TRACKERS.clear()
+        TRACKERS.update(trackers)
+    assert "frame 2: converged" in capsys.readouterr().out
 
 
 def test_edit_objects(tmp_path, capsys):
