@@ -10,6 +10,8 @@ import pytest
 
 import architecture_graph
 import ggwarp
+import options_page
+from ggwarp.config.options import option_table
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -84,7 +86,18 @@ def test_readme_is_a_page_with_a_picture_first():
     assert sum(line.startswith("python3 -m venv ") for line in lines) == 2
 
 
+@pages
+def test_options_that_a_page_names_are_there(page):
+    flags = {option.flag for option in option_table()}
+    text = page.read_text()
+    wanted = set(re.findall(r"(?<![\w-])--[a-z][a-z0-9-]*\.[a-z0-9.-]*[a-z0-9]", text))
+    for line in re.findall(r"^(?:ggwarp run|python -m ggwarp\.run) (.*)", text, re.MULTILINE):
+        wanted |= set(re.findall(r"--[a-z][a-z0-9.-]*", line.split("#")[0]))
+    assert wanted - {"--help", "--help-all"} <= flags, sorted(wanted - flags)
+
+
 def test_pages_that_tools_write_are_up_to_date():
+    assert options_page.PAGE.read_text() == options_page.page(), "python tools/options_page.py"
     graph = architecture_graph.drawn(architecture_graph.allowed())
     assert architecture_graph.GRAPH.read_text() == graph, "python tools/architecture_graph.py"
 
