@@ -42,7 +42,7 @@ ALLOWED: dict[str, set[str]] = {
     "session": {"types", "runtime", "io", "datasets", "evaluation", "results"}
     | {"config", "console", "messages", *_SYSTEM},
     "run": {"datasets", "config", "console", "session"},
-    "commands": {"types", "geometry", "runtime", "datasets", "evaluation", *_SYSTEM},
+    "commands": {"types", "geometry", "runtime", "io", "datasets", "evaluation", *_SYSTEM},
 }  # fmt: skip
 """Room -> the rooms it may import (itself aside). A room is a folder and all in it, or a file at the top."""
 

@@ -11,22 +11,16 @@ nothing appears under the data root before it has passed.
 from __future__ import annotations
 
 import argparse
-import gzip
 import http.client
 import os
-import shutil
 import sys
-import tarfile
 import time
 import urllib.error
 import urllib.request
-import zipfile
-import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import IO
 
 from rich.console import Console
 from rich.progress import (
@@ -38,7 +32,9 @@ from rich.progress import (
     TransferSpeedColumn,
 )
 
+from ggwarp.commands.archives import DownloadError, NoRoomError, check_room, unpack
 from ggwarp.datasets.tum import full_name
+from ggwarp.io.printable import printable
 
 REPLICA_URL = "https://cvg-data.inf.ethz.ch/nice-slam/data/Replica.zip"
 REPLICA_SCENES = ("room0", "room1", "room2", "office0", "office1", "office2", "office3", "office4")
@@ -47,10 +43,6 @@ _CHUNK = 1 << 20
 _TIMEOUT = 30.0
 _ATTEMPTS = 5
 _PAUSE = 1.0
-
-
-class DownloadError(Exception):
-    """The sequence cannot be fetched: one line with the address, what happened and what to do."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +107,8 @@ def fetch(source: Source, console: Console) -> Path:
         console.print(f"{source.sequence} is there already; remove it to fetch it again")
         return source.sequence
     console.print(source.licence)
-    archive = source.folder / (PurePosixPath(source.url.split("?")[0]).name or "archive")
+    name = PurePosixPath(source.url.split("?")[0]).name
+    archive = source.folder / (name if name.strip(".") else "archive")
     try:
         source.folder.mkdir(parents=True, exist_ok=True)
         if not archive.is_file():
@@ -123,6 +116,8 @@ def fetch(source: Source, console: Console) -> Path:
         console.print(f"checking and unpacking {archive}")
         try:
             unpack(archive, source.folder, wanted=source.wanted, needed=source.sequence)
+        except NoRoomError:
+            raise
         except DownloadError:
             archive.unlink()
             raise
@@ -142,7 +137,7 @@ def download(url: str, archive: Path, console: Console) -> None:
         DownloadError: the server refuses, or the connection keeps breaking.
     """
     part = archive.with_name(f".{archive.name}.part")
-    columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn())
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), DownloadColumn())
     with Progress(*columns, TransferSpeedColumn(), TimeRemainingColumn(), console=console) as progress:
         task = progress.add_task(archive.name, total=None)
         failures, reason = 0, ""
@@ -150,10 +145,12 @@ def download(url: str, archive: Path, console: Console) -> None:
             before = _size(part)
             try:
                 with _connect(url, part) as (response, start, total):
+                    check_room(archive.parent, 0 if total is None else total - start)
                     progress.update(task, total=total, completed=start)
                     with open(part, "r+b" if start else "wb") as file:
                         file.seek(start)
                         while chunk := response.read(_CHUNK):
+                            check_room(archive.parent, len(chunk))
                             file.write(chunk)
                             progress.advance(task, len(chunk))
                 if total is None or _size(part) == total:
@@ -163,6 +160,8 @@ def download(url: str, archive: Path, console: Console) -> None:
                 reason = f"the connection ended after {_size(part)} of {total} bytes"
             except (urllib.error.URLError, http.client.HTTPException, TimeoutError, ConnectionError) as error:
                 reason = str(error.reason if type(error) is urllib.error.URLError else error)
+            except ValueError as error:  # an address, or an answer, that nothing can be made of
+                raise DownloadError(f"{url}: {error}; check the address") from None
             # Only tries that brought nothing count: a poor line may break often on 12 GB.
             failures = 0 if _size(part) > before else failures + 1
             time.sleep(_PAUSE * failures)
@@ -192,7 +191,7 @@ def _connect(url: str, part: Path) -> Iterator[tuple[http.client.HTTPResponse, i
         raise
     with response:
         length = response.headers.get("Content-Length")
-        total = int(length) if length else None
+        total = int(length) if length and length.isascii() and length.isdigit() else None
         start = 0
         if response.status == 206:
             span = response.headers.get("Content-Range", "")
@@ -217,73 +216,6 @@ def _size(path: Path) -> int:
     return path.stat().st_size if path.is_file() else 0
 
 
-def unpack(archive: Path, folder: Path, *, wanted: tuple[str, ...], needed: Path) -> None:
-    """Unpack an archive under ``folder``, all or nothing.
-
-    Args:
-        wanted: only paths that begin with one of these; empty = all.
-        needed: the folder that must have come out of it.
-
-    Raises:
-        DownloadError: it is damaged, would write outside ``folder``, or lacks what is needed.
-    """
-    staging = folder / f".{archive.name}.unpacking"
-    shutil.rmtree(staging, ignore_errors=True)
-    try:
-        for name, content in _members(archive):
-            path = PurePosixPath(name)
-            if path.is_absolute() or ".." in path.parts or "\\" in name or ":" in name:
-                raise DownloadError(f"{archive}: holds the unsafe path {name!r}; nothing was unpacked")
-            if wanted and not name.startswith(wanted):
-                continue
-            target = staging / path
-            target.parent.mkdir(parents=True, exist_ok=True)
-            with open(target, "wb") as file:
-                shutil.copyfileobj(content, file, _CHUNK)
-        if not (staging / needed.relative_to(folder)).is_dir():
-            raise DownloadError(f"{archive}: holds no {needed.relative_to(folder)}")
-        _merge(staging, folder)
-    except (zipfile.BadZipFile, tarfile.TarError, gzip.BadGzipFile, zlib.error, EOFError) as error:
-        raise DownloadError(
-            f"{archive}: is damaged ({error}); run the same command to fetch it again"
-        ) from error
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
-
-
-def _members(archive: Path) -> Iterator[tuple[str, IO[bytes]]]:
-    """Yield (path, content) of an archive's plain files; reading to the end verifies checksums."""
-    if archive.suffix == ".zip":
-        with zipfile.ZipFile(archive) as zipped:
-            for entry in zipped.infolist():
-                if not entry.is_dir():
-                    with zipped.open(entry) as content:
-                        yield entry.filename, content
-        return
-    with gzip.open(archive) as stream:
-        with tarfile.open(fileobj=stream, mode="r|") as tar:
-            for member in tar:
-                content = tar.extractfile(member) if member.isfile() else None
-                if content is not None:
-                    yield member.name.removeprefix("./"), content
-                elif not member.isdir():
-                    raise DownloadError(
-                        f"{archive}: holds the unsafe path {member.name!r} (a link or device)"
-                    )
-        # The checksum lies behind the padding that the tar reader leaves.
-        while stream.read(_CHUNK):
-            pass
-
-
-def _merge(source: Path, target: Path) -> None:
-    """Move what is in ``source`` into ``target``; files there already are replaced."""
-    for child in source.iterdir():
-        if child.is_dir() and (target / child.name).is_dir():
-            _merge(child, target / child.name)
-        else:
-            os.replace(child, target / child.name)
-
-
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; return its exit code (2: it failed, and said why)."""
     parser = argparse.ArgumentParser(description="Fetch a sequence from its official archive.")
@@ -303,7 +235,7 @@ def main(arguments: list[str] | None = None) -> int:
         source = find_source(options.kind, options.name, options.data, options.url)
         sequence = fetch(source, console)
     except DownloadError as error:
-        print(f"error: {error}", file=sys.stderr)
+        print(f"error: {printable(str(error))}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("stopped; run the same command to go on", file=sys.stderr)

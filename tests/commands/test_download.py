@@ -38,6 +38,8 @@ class Server(ThreadingHTTPServer):
     version = '"1"'
     knows_ranges = True
     status = 200
+    length: str | None = None
+    """What it says of the content's length; None: the truth."""
     break_after: list[int]
     """Bytes after which each coming answer breaks off; empty: no more do."""
     requests: list[tuple[str, str | None]]
@@ -67,7 +69,7 @@ class Handler(BaseHTTPRequestHandler):
             self.send_header("Content-Range", f"bytes {start}-{len(body) - 1}/{len(body)}")
         else:
             self.send_response(200)
-        self.send_header("Content-Length", str(len(body) - start))
+        self.send_header("Content-Length", server.length or str(len(body) - start))
         self.send_header("ETag", server.version)
         self.end_headers()
         end = len(body)
@@ -273,6 +275,35 @@ def test_links_are_refused(
     server.content = make_tgz(files_of(TUM), link="/etc/passwd")
     assert run(tool, "tum", TUM, "--data", tmp_path, "--url", server.url("a.tgz")) == 2
     assert "a link or device" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("length", ["abc", "-5", "\u0665", "9" * 5000])
+def test_a_length_that_is_none_is_no_traceback(
+    tool: ModuleType, server: Server, tmp_path: Path, capsys: pytest.CaptureFixture[str], length: str
+) -> None:
+    """Without one the archive itself says whether it is whole."""
+    server.content = make_tgz(files_of(TUM))
+    server.length = length.encode().decode("latin-1")
+    code = run(tool, "tum", TUM, "--data", tmp_path, "--url", server.url("a.tgz"))
+    assert code == 0 or (code == 2 and capsys.readouterr().err.count("\n") == 1)
+
+
+def test_what_the_disk_cannot_hold_is_not_fetched(
+    tool: ModuleType, server: Server, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    server.length = str(10**18)
+    assert run(tool, "tum", TUM, "--data", tmp_path, "--url", server.url("a.tgz")) == 2
+    assert "1,000,000,000,000,000,000 bytes more are needed" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "url", ["http://[", "http://a b/x.tgz", "http://" + "x" * 300 + "/a.tgz", "http:///.."]
+)
+def test_addresses_that_are_none(
+    tool: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str], url: str
+) -> None:
+    assert run(tool, "tum", TUM, "--data", tmp_path, "--url", url) == 2
+    assert capsys.readouterr().err.count("\n") == 1
 
 
 def test_an_archive_of_something_else(
