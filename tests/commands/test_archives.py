@@ -10,7 +10,6 @@ import struct
 import tarfile
 import tracemalloc
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -129,21 +128,18 @@ def test_what_is_only_padding_is_bounded_too(tmp_path: Path, monkeypatch: pytest
 
 
 def test_many_members_cost_no_memory(tmp_path: Path) -> None:
-    folders = b"".join(make_tar(f"seq/{i}", size=0, kind=tarfile.DIRTYPE)[:512] for i in range(20_000))
+    folders = b"".join(make_tar(f"seq/{i}", size=0, kind=tarfile.DIRTYPE)[:512] for i in range(6000))
+    data = gzip.compress(make_tar()[:-1024] + folders + bytes(1024))
     tracemalloc.start()
-    attempt(tmp_path, gzip.compress(make_tar()[:-1024] + folders + bytes(1024)), ".tgz")
+    attempt(tmp_path, data, ".tgz")
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert peak < 16 << 20 and (tmp_path / "seq/a.txt").read_bytes() == CONTENT
+    assert peak < 8 << 20 and (tmp_path / "seq/a.txt").read_bytes() == CONTENT
 
 
 def test_folders_in_folders_without_end_are_refused(tmp_path: Path) -> None:
     with pytest.raises(DownloadError, match="unsafe path"):
         attempt(tmp_path, make_zip(name="seq/" + "a/" * 1500 + "b"), ".zip")
-
-
-def packed(make: Callable[[], bytes]) -> bytes:
-    return gzip.compress(make())
 
 
 @settings(max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -165,11 +161,10 @@ def test_any_damage_is_a_download_error(
         data[148:156] = b" " * 8
         data[148:156] = b"%06o\0 " % sum(data[:512])
     try:
-        attempt(
-            tmp_path,
-            gzip.compress(bytes(data)) if kind == "tar" else bytes(data),
-            ".tgz" if kind == "tar" else ".zip",
-        )
+        if kind == "tar":
+            attempt(tmp_path, gzip.compress(bytes(data)), ".tgz")
+        else:
+            attempt(tmp_path, bytes(data), ".zip")
     except DownloadError as error:
         assert "\n" not in str(error)
     except OSError as error:  # such as a name that no file can have
