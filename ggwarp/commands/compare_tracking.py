@@ -24,7 +24,7 @@ from ggwarp.datasets import open_dataset
 from ggwarp.evaluation.trajectory import absolute_error
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
-from ggwarp.pipeline.tracking.gicp import REACH, GicpConfig, GicpTracker
+from ggwarp.pipeline.tracking.gicp import OVERLAP_DISTANCE, REACH, GicpConfig, GicpTracker
 from ggwarp.pipeline.tracking.keyframe_policy import KeyframeConfig, KeyframeKind, OverlapKeyframes
 from ggwarp.pipeline.tracking.point_map import TrackableConfig, TrackableMap
 from ggwarp.pipeline.tracking.preprocess import observe
@@ -111,7 +111,7 @@ class PeerTracker:
             found, d2 = self._tree.batch_nearest_neighbor_search(
                 se3.transform_points(T, points), launch.cpu_threads()
             )
-            reach = max(self._config.overlap_distance, REACH * seen.spacing)
+            reach = max(OVERLAP_DISTANCE, REACH * seen.spacing)
             distances2 = np.where((np.array(found) >= 0) & (np.array(d2) < reach**2), d2, np.inf)
         self.seconds = time.perf_counter() - started
         observed = FramePoints(

@@ -149,7 +149,7 @@ class Slam:
 
         Args:
             tracked: frames in the order in which they were tracked.
-            waiting: where tracking runs concurrent: says whether the next frame waits already.
+            waiting: asks whether the next frame waits already, where tracking runs in a thread of its own.
         """
         started = time.perf_counter()
         self._insert(tracked)
@@ -247,13 +247,14 @@ class Slam:
 
     def _insert(self, tracked: TrackedFrame) -> None:
         """Give the mapper a keyframe, and any frame that is not lost for what it keeps of all."""
-        T_wc = tracked.result.T_wc
+        frame, result = tracked.frame, tracked.result
         if tracked.is_keyframe:
+            keyframe = frame if result.depth is None else dataclasses.replace(frame, depth=result.depth)
             with self._mapping_scope:
-                self._mapper.insert(tracked.with_depth(), T_wc, tracked.result.exposure)
+                self._mapper.insert(keyframe, result.T_wc, result.exposure)
         if not tracked.is_lost:
             with self._mapping_scope:
-                self._mapper.observe_frame(tracked.frame, T_wc, skip_objects=tracked.arrival.late)
+                self._mapper.observe_frame(frame, result.T_wc, skip_objects=tracked.arrival.late)
 
     def _bootstrap(self, tracked: TrackedFrame) -> int:
         """Fit the map to its first keyframe; return the iterations."""

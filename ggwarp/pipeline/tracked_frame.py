@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 
 from ggwarp.pipeline.scheduler import Arrival
@@ -34,11 +33,6 @@ class TrackedFrame:
     @property
     def is_lost(self) -> bool:
         return self.result.verdict is Verdict.LOST
-
-    def with_depth(self) -> Frame:
-        """Return the frame with the depth that tracking estimated, if it did."""
-        estimated = self.result.depth
-        return self.frame if estimated is None else dataclasses.replace(self.frame, depth=estimated)
 
     def report(self, *, seconds: float, iterations: int, gaussians: int, loss: float) -> StepReport:
         """Return the frame's report.

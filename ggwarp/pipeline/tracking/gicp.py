@@ -27,6 +27,9 @@ from ggwarp.types import Float32, Float64, Frame, FramePoints, MapSnapshot, Trac
 REACH = 1.5
 """No search for a match ends below so many spacings of points: sparse points always leave a gap."""
 
+OVERLAP_DISTANCE = 0.0316
+"""A point within this distance of the map is matched, metres; at least ``REACH`` spacings."""
+
 MAX_POSITION_STD = 0.01
 """A frame whose position is uncertain by more along some direction is poor, or lost if its overlap is poor
 too, metres; thrice that where earlier views agree with it."""
@@ -47,6 +50,15 @@ _ROBUST_SCALE = 3.0
 """Standard deviations at which Geman-McClure's kernel halves a residual's share of the cost in the last
 stage; wider in coarse stages, in the ratio of their radii."""
 
+_MIN_POINTS = 200
+"""A frame with fewer points is lost."""
+
+_POOR_OVERLAP = 0.4
+"""A frame with a smaller share of matched points is poor."""
+
+_MAX_JUMP, _MAX_TURN = 0.5, 0.6
+"""A frame farther from its prediction is a jump, and poor at best, metres and radians."""
+
 _SURE_OVERLAP = 0.6
 """Below this share, or after a jump, registration is tried from other poses, too, and the best pose that
 remembered views agree with is taken; without such a pose the frame is lost."""
@@ -59,18 +71,8 @@ _CLEAR_OVERLAP = 0.9
 class GicpConfig(ObservationConfig):
     """How a frame is registered, and when its pose is accepted."""
 
-    overlap_distance: float = 0.0316
-    """A point within this distance of the map is matched, metres; at least 1.5 spacings of points."""
-    min_points: int = 200
-    """A frame with fewer points is lost."""
     lost_overlap: float = 0.2
-    """A frame with a smaller share of matched points is lost."""
-    poor_overlap: float = 0.4
-    """A frame with a smaller share of matched points is poor."""
-    max_jump: float = 0.5
-    """A frame farther from its prediction is a jump, and poor at best, metres."""
-    max_turn: float = 0.6
-    """A frame turned farther from its prediction is a jump, and poor at best, radians."""
+    """A frame with a smaller share of points that lie on the map is lost."""
 
 
 class GicpTracker:
@@ -106,7 +108,7 @@ class GicpTracker:
         """
         seen = self._observe(frame)
         self._motion = MotionModel.at_rest(T_wc, depth_time(frame))
-        if seen.count < self._config.min_points:
+        if seen.count < _MIN_POINTS:
             return _result(self._motion.T_wc, np.eye(4), seen, None, Verdict.LOST, self._too_few(seen))
         self._relocaliser.remember(frame, self._motion.T_wc)
         return _result(self._motion.T_wc, np.eye(4), seen, None)
@@ -122,7 +124,7 @@ class GicpTracker:
         seen = self._observe(frame)
         self._before, self.registration = self._motion, None
         predicted = self._motion.predict(depth_time(frame))
-        if seen.count < self._config.min_points:
+        if seen.count < _MIN_POINTS:
             return self._lose(frame, predicted, seen, None, self._too_few(seen))
         self._aim(target, seen.spacing)
         found = self._search(frame, seen, predicted)
@@ -135,7 +137,7 @@ class GicpTracker:
         return _result(T_wd, self._motion.to_colour(frame), seen, found.distances2, verdict, reason)
 
     def _too_few(self, seen: Observation) -> str:
-        return f"{seen.count} depth points, {self._config.min_points} needed"
+        return f"{seen.count} depth points, {_MIN_POINTS} needed"
 
     def place(self, frame: Frame, target: MapSnapshot, T_wc: Float64) -> TrackResult:
         """Take the pose [4, 4] as given; say only how the frame's points lie to the map there."""
@@ -202,15 +204,15 @@ class GicpTracker:
     def _distances2(self, seen: Observation, T_wc: Float64) -> Float32:
         """Return [n] squared distance of each point to the map, m^2; inf where nothing is near."""
         assert self._target is not None
-        reach = max(self._config.overlap_distance, REACH * seen.spacing)
+        reach = max(OVERLAP_DISTANCE, REACH * seen.spacing)
         return match_distances2(seen.cloud, self._target, T_wc, radius=reach, device=self._device)
 
     def _judge(self, found: _RegisteredPose, predicted: Float64) -> tuple[Verdict, str]:
-        config, fit, overlap = self._config, found.fit, found.overlap
+        fit, overlap = found.fit, found.overlap
         std, jump_reason = position_std(fit.information), self._jump(found, predicted)
         overlap_reason = f"overlap {overlap:.2f} with the map"
         std_reason = f"position free to slide by {std:.3f} m"
-        if overlap < config.lost_overlap:
+        if overlap < self._config.lost_overlap:
             return Verdict.LOST, overlap_reason
         if not np.isfinite(std):
             return Verdict.LOST, "the geometry does not fix the pose"
@@ -218,17 +220,17 @@ class GicpTracker:
             return Verdict.LOST, f"{overlap_reason}, {found.consistency} with earlier views"
         # One weakness alone can be the scene's; two together are a wrong pose.
         uncertain = std > MAX_POSITION_STD * (3.0 if found.consistent else 1.0)
-        if uncertain and overlap < config.poor_overlap:
+        if uncertain and overlap < _POOR_OVERLAP:
             return Verdict.LOST, f"{std_reason}, {overlap_reason}"
         if std > MAX_POSITION_STD:
             return Verdict.POOR, std_reason
-        if overlap < config.poor_overlap:
+        if overlap < _POOR_OVERLAP:
             return Verdict.POOR, overlap_reason
         return (Verdict.POOR, jump_reason) if jump_reason else (Verdict.CONVERGED, "")
 
     def _jump(self, found: _RegisteredPose, predicted: Float64) -> str:
         assert self._motion is not None
-        return self._motion.jump(found.fit.T_wc, predicted, self._config.max_jump, self._config.max_turn)
+        return self._motion.jump(found.fit.T_wc, predicted, _MAX_JUMP, _MAX_TURN)
 
     def _lose(
         self, frame: Frame, predicted: Float64, seen: Observation, distances2: Float32 | None, reason: str

@@ -43,7 +43,7 @@ class InitialisationConfig:
     median_depth: float = 2.0
     """Median depth of the first picture, metres: it sets the scale, which one camera cannot know."""
     patience: int = 30
-    """A start without parallax is given up for the newest picture after so many frames."""
+    """A start without parallax is given up for the newest picture after N frames."""
 
 
 @dataclass(frozen=True)

@@ -128,10 +128,10 @@ def test_a_start_without_depth_is_lost_and_can_be_repeated():
 def test_a_turn_too_large_for_one_start_is_found_by_search(monkeypatch):
     T = pose(0) @ se3.se3_exp([0.05, 0.02, 0.0, 0.4, 0.0, 0.0])
     turned = frame(1, depth_from(T))
-    accepting = replace(CONFIG, max_jump=np.inf, max_turn=np.inf)
-    with monkeypatch.context() as unsearched:
-        unsearched.setattr(gicp, "_SURE_OVERLAP", 0.0)
-        once = Session(config=accepting).track(turned)
+    with monkeypatch.context() as accepting:
+        for name, value in (("_SURE_OVERLAP", 0.0), ("_MAX_JUMP", np.inf), ("_MAX_TURN", np.inf)):
+            accepting.setattr(gicp, name, value)
+        once = Session().track(turned)
     assert np.linalg.norm(se3.se3_log(se3.inverse(T) @ once.T_wc)) > 0.1
     result = Session().track(turned)
     assert result.verdict is Verdict.CONVERGED
