@@ -28,14 +28,14 @@ def main(out: Path = Path("runs/edited"), frames: int = 12, scale: float = 0.2) 
     # Which Gaussians are an object: a mask [n], to be used like any other.
     chosen = select(run.gaussians, moved.id)
     motion = motion_about(moved.centre, rotation=np.eye(3), translation=[0.0, 0.0, 0.3])
-    run = run.edited(move(run.gaussians, chosen, motion), {"moved": moved.id})
+    run = run.edited(move(run.gaussians, chosen, motion), {"edit": "move", "id": moved.id})
 
     chosen = select(run.gaussians, painted.id)
-    run = run.edited(recolour(run.gaussians, chosen, (200, 40, 40)), {"painted": painted.id})
+    run = run.edited(recolour(run.gaussians, chosen, (200, 40, 40)), {"edit": "recolor", "id": painted.id})
 
     chosen = select(run.gaussians, removed.id)
     filled, added = fill_removed(run.gaussians, chosen, run.camera, run.poses)
-    run = run.edited(filled, {"removed": removed.id})
+    run = run.edited(filled, {"edit": "remove", "ids": [removed.id]})
     print(f"{removed.name} removed, {added} Gaussians fill what was behind")
 
     # The edited map, seen from the first pose, and saved as a run of its own.
