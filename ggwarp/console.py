@@ -4,7 +4,7 @@
 On a terminal a live progress line and a table; elsewhere plain lines, one every few seconds, and
 ``key value`` at the end. Results and progress go to standard output, warnings and errors to standard error.
 Everything goes through one display, so that a line never tears the progress line. Text from the data is
-shown as it is, never taken for markup.
+never taken for markup, and its control characters are shown as escapes.
 """
 
 from __future__ import annotations
@@ -26,6 +26,8 @@ from rich.progress import (
 )
 from rich.table import Table
 from rich.text import Text
+
+from ggwarp.io.printable import printable
 
 _WIDE = 110  # columns from which on there is room for a bar
 _PLAIN_INTERVAL = 5.0  # seconds between progress lines where there is no terminal
@@ -217,7 +219,7 @@ class TerminalDisplay(PlainDisplay):
         self._progress.stop()
 
     def results(self, metrics: dict[str, Any], groups: dict[str, list[str]]) -> None:
-        title = Text(f"{metrics['sequence']} ({metrics['dataset']})")
+        title = Text(printable(f"{metrics['sequence']} ({metrics['dataset']})"))
         table = Table(show_header=False, title=title)
         table.add_column()
         table.add_column(justify="right")
@@ -230,7 +232,7 @@ class TerminalDisplay(PlainDisplay):
 
 
 def _print(console: Console, line: str) -> None:
-    console.print(Text(line), soft_wrap=True)
+    console.print(Text(printable(line)), soft_wrap=True)
 
 
 def _text(value: Any) -> str:

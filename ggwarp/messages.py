@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 
 from ggwarp.config import RunConfig
 from ggwarp.datasets import BUILT_IN, Dataset, DatasetError
+from ggwarp.io.printable import printable
 from ggwarp.types import StepReport
 
 
@@ -56,4 +57,4 @@ def explain(failure: Exception) -> None:
     if not isinstance(reason, (DatasetError, OSError, MemoryError)):
         traceback.print_exception(reason)
     what = f"{type(reason).__name__}: {reason}" if str(reason) else type(reason).__name__
-    print(f"ggwarp: {failure}: {what}", file=sys.stderr)
+    print(f"ggwarp: {printable(f'{failure}: {what}')}", file=sys.stderr)

@@ -11,6 +11,7 @@ from ggwarp.config import ConfigError
 from ggwarp.config.command_line import parse
 from ggwarp.console import Display, Interruption, open_display
 from ggwarp.datasets import DatasetError
+from ggwarp.io.printable import printable
 from ggwarp.session import Session
 
 USER_ERROR = 2
@@ -43,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _refuse(display: Display | None, message: str, code: int = USER_ERROR) -> int:
     if display is not None:
         display.close()
-    print(f"ggwarp: {message}", file=sys.stderr)
+    print(f"ggwarp: {printable(message)}", file=sys.stderr)
     return code
 
 

@@ -37,11 +37,11 @@ ALLOWED: dict[str, set[str]] = {
     "results": _VALUES | {"map", "io", "objects", "evaluation"},
     "editing": _MAP | {"io", "objects", "evaluation", "results"},
     "config": {"types", "geometry", "io", "datasets", "console", *_SYSTEM},
-    "console": set(),
-    "messages": {"types", "config", "datasets"},
+    "console": {"io"},
+    "messages": {"types", "io", "config", "datasets"},
     "session": {"types", "runtime", "io", "datasets", "evaluation", "results"}
     | {"config", "console", "messages", *_SYSTEM},
-    "run": {"datasets", "config", "console", "session"},
+    "run": {"io", "datasets", "config", "console", "session"},
     "commands": {"types", "geometry", "runtime", "io", "datasets", "evaluation", *_SYSTEM},
 }  # fmt: skip
 """Room -> the rooms it may import (itself aside). A room is a folder and all in it, or a file at the top."""

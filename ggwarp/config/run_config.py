@@ -3,18 +3,24 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
 from ggwarp.datasets.built_in.faults import SensorFaults
+from ggwarp.io.printable import shown
 from ggwarp.pipeline.slam import SlamConfig
 
 Preset = Literal["gg-slam", "gs-icp", "monogs", "fast", "quality"]
+
+
+_LARGEST = 2**31 - 1
+"""Of any option: kernels count with 32 bits."""
 
 
 class ConfigError(ValueError):
@@ -104,6 +110,23 @@ def check(config: RunConfig) -> None:
     if config.data is not None and not config.data.is_dir():
         raise ConfigError(f"--data {config.data}: no such folder")
     frame_slice(config.frames)
+    check_numbers(dataclasses.replace(config, intrinsics=None))  # which are compared with the images
+
+
+def check_numbers(config: Any, prefix: str = "--") -> None:
+    """Refuse numbers below 0 or beyond all bounds, which no option of ``config`` or its parts takes.
+
+    Raises:
+        ConfigError: names the option, its value and the range.
+    """
+    for field_ in dataclasses.fields(config):
+        value, name = getattr(config, field_.name), prefix + field_.name.replace("_", "-")
+        if dataclasses.is_dataclass(value):
+            check_numbers(value, prefix if field_.name == "slam" else f"{name}.")
+            continue
+        for number in value if isinstance(value, tuple) else (value,):
+            if isinstance(number, (int, float)) and not 0 <= number <= _LARGEST:
+                raise ConfigError(f"{name} {shown(number)}: give a number from 0 to {_LARGEST:g}")
 
 
 def frame_slice(text: str | None) -> slice:

@@ -10,10 +10,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ggwarp.editing.command_line import EDITS, parse
+from ggwarp.io.printable import printable
 from ggwarp.results.saved_run import RunError, load_run, save_run
 
 USER_ERROR = 2
 INTERRUPTED = 130
+_LONGEST_NAME = 60
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -23,6 +25,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return execute(steps)
     except RunError as error:
         return _refuse(str(error))
+    except MemoryError:
+        return _refuse("out of memory")
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         return _refuse(f"{where}{error.strerror or error}")
@@ -51,7 +55,7 @@ def execute(steps: list[argparse.Namespace]) -> int:
         for step in steps:
             run = apply.apply(run, step)
         save_run(run, out)
-        print(f"the edited map is in {out}")
+        print(f"the edited map is in {printable(str(out))}")
         return 0
     from ggwarp.editing.pictures import write_extract, write_show
 
@@ -71,11 +75,11 @@ def next_folder(folder: Path) -> Path:
 
 
 def _file_name(text: str) -> str:
-    return re.sub(r"[^\w.-]+", "_", text)
+    return re.sub(r"[^\w.-]+", "_", text)[:_LONGEST_NAME]
 
 
 def _refuse(message: str, code: int = USER_ERROR) -> int:
-    print(f"ggwarp objects: {message}", file=sys.stderr)
+    print(f"ggwarp objects: {printable(message)}", file=sys.stderr)
     return code
 
 

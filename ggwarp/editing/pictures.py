@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from ggwarp.editing.actions import chosen_gaussians
 from ggwarp.editing.device import ready_device
@@ -19,6 +20,7 @@ from ggwarp.editing.edits import extract
 from ggwarp.editing.map_view import MapView, best_views, crop_to
 from ggwarp.io.atomic import atomic_write
 from ggwarp.io.ply import write_ply
+from ggwarp.io.printable import printable
 from ggwarp.objects.inventory import ObjectRecord
 from ggwarp.results.saved_run import RunError, SavedRun
 from ggwarp.types import Float32
@@ -31,26 +33,29 @@ _ZOOM = 4.0  # of crops, as an object fills a small part of the run's images
 
 def print_table(run: SavedRun) -> None:
     """Print the objects of ``run``, a row each."""
-    table = Table(title=f"{run.folder}: {len(run.objects)} objects, {len(run.gaussians):,} Gaussians")
+    title = f"{run.folder}: {len(run.objects)} objects, {len(run.gaussians):,} Gaussians"
+    table = Table(title=Text(printable(title), style="table.title"))
     for title in ("id", "name", "Gaussians", "size m", "centre m", "colour", "views", "frames", "confidence"):
         table.add_column(title, justify="left" if title in ("name", "colour") else "right")
     for record in run.objects:
         table.add_row(*_row(record))
-    for entry in run.edits:
-        table.caption = f"{table.caption or 'edited:'} {entry.get('edit')}"
+    if run.edits:
+        edits = " ".join(["edited:", *(printable(entry["edit"]) for entry in run.edits)])
+        table.caption = Text(edits, style="table.caption")
     console = Console()
     (console if console.is_terminal else Console(width=_WIDE)).print(table)
 
 
-def _row(o: ObjectRecord) -> list[str]:
+def _row(o: ObjectRecord) -> list[str | Text]:
     size = " x ".join(f"{2.0 * h:.2f}" for h in o.oriented_box.half_sizes)
     centre = " ".join(f"{c:.2f}" for c in o.centre)
     hexadecimal = "#{:02x}{:02x}{:02x}".format(*o.colour)
     frames = "-" if o.first_frame is None else f"{o.first_frame}-{o.last_frame}"
     confidence = "-" if o.confidence is None else f"{o.confidence:.3f}"
     views = "-" if o.views is None else str(o.views)
-    colour = f"[{hexadecimal}]███[/] {hexadecimal}"
-    return [str(o.id), o.name, f"{o.count:,}", size, centre, colour, views, frames, confidence]
+    colour = Text.assemble(("███", hexadecimal), f" {hexadecimal}")
+    name = Text(printable(o.name))
+    return [str(o.id), name, f"{o.count:,}", size, centre, colour, views, frames, confidence]
 
 
 def write_show(run: SavedRun, record: ObjectRecord, step: argparse.Namespace, folder: Path) -> None:
@@ -135,4 +140,4 @@ def _save(path: Path, picture: NDArray[Any]) -> None:
 
 def _report(files: list[Path]) -> None:
     for path in files:
-        print(path)
+        print(printable(str(path)))

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -82,3 +83,71 @@ def test_bad_files_are_named(tmp_path):
         read_toml(tmp_path / "bad.toml")
     with pytest.raises(TomlError, match=str(tmp_path)):
         read_toml(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("count = " + "9" * 5000, "Exceeds the limit"),
+        ("count = 0x" + "f" * 5000, "count = a int beyond all bounds, but no number is that large"),
+        ("count = 1" + "0" * 400, "but no number is that large"),
+        ("inner.rate = 1" + "0" * 400, "but no number is that large"),
+        ("pace = 1" + "0" * 400, "but no number is that large"),
+        ("x = " + "[" * 100_000, "nested too deeply"),
+        ("x = " + "{a=" * 50_000, "nested too deeply"),
+        ("a." * 50_000 + "b = 1", "more than 16 parts"),
+        ("[" + "a . " * 50_000 + "b]", "more than 16 parts"),
+        ("'a'.\"b\"." * 5000 + "c = 1", "more than 16 parts"),
+        ("x = {" + "a." * 5000 + "b = 1}", "more than 16 parts"),
+        ("#" * (1 << 20) + "\n", "at most 1,048,576"),
+        ('folder = "a\\u0000b"', "no file's name holds a NUL"),
+        ('"a\\u001b[31m\\n" = 1', r"unknown key 'a\\x1b\[31m\\n'"),
+        ("name = 'a\x1b'", "Illegal character|Invalid|Found invalid"),
+        ("mode = [[[[[[]]]]]]", "mode = .*, but one of a, b"),
+    ],
+)
+def test_hostile_files_end_in_one_line(tmp_path, text, message):
+    (tmp_path / "c.toml").write_text(text)
+    with pytest.raises(TomlError, match=message) as error:
+        merged(Outer(), read_toml(tmp_path / "c.toml"), where="c.toml")
+    assert str(error.value).isprintable() and len(str(error.value)) < 400
+
+
+@pytest.mark.parametrize(
+    "name", ["-_" * 200_000, '"' * 200_001, "'a' " * 100_000, "a \t" * 100_000, ". " * 200_000]
+)
+def test_looking_for_deep_keys_takes_no_time(tmp_path, name):
+    """Neither to find one nor to find none; what is wrong otherwise is the parser's to say."""
+    (tmp_path / "c.toml").write_text(name)
+    with pytest.raises(TomlError):
+        read_toml(tmp_path / "c.toml")
+
+
+def test_a_pipe_is_no_configuration(tmp_path):
+    os.mkfifo(tmp_path / "c.toml")
+    with pytest.raises(TomlError, match="is a pipe"):
+        read_toml(tmp_path / "c.toml")
+
+
+def test_names_that_are_not_utf_8_leave_a_file_that_is_read(tmp_path):
+    write_toml(Outer(name="a\udcff"), tmp_path / "c.toml")
+    assert read_toml(tmp_path / "c.toml")["name"] == "a?"
+
+
+leaves = st.integers() | st.floats() | st.booleans() | st.text(max_size=4) | st.just(10**400)
+tables = st.recursive(
+    leaves,
+    lambda v: (
+        st.lists(v, max_size=3)
+        | st.dictionaries(st.sampled_from(["inner", "rate", "count", "x"]), v, max_size=3)
+    ),
+    max_leaves=8,
+)
+
+
+@given(values=st.dictionaries(st.sampled_from(["name", "count", "folder", "mode", "pace", "inner"]), tables))
+def test_any_values_are_a_configuration_or_an_error_that_names_them(values):
+    try:
+        merged(Outer(), values, where="f")
+    except TomlError as error:
+        assert str(error).startswith("f: ") and str(error).isprintable()

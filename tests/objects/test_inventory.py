@@ -3,6 +3,8 @@ import json
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from ggwarp.objects.inventory import ObjectRecord, inventory, refreshed
 from ggwarp.objects.visibility import ObjectVisibility
@@ -83,3 +85,71 @@ def test_no_objects():
     assert inventory(means, means, None) == []
     assert inventory(means, means, np.zeros(3, np.int32)) == []
     assert inventory(means[:0], means[:0], np.zeros(0, np.int32)) == []
+
+
+def _entry() -> dict:
+    means = np.random.default_rng(0).normal(size=(20, 3)).astype(np.float32)
+    (record,) = inventory(means, means, np.full(20, 3), names={3: "globe"})
+    return json.loads(json.dumps(record.to_json()))
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("id", "3"),
+        ("id", True),
+        ("id", 0),
+        ("id", 3.0),
+        ("id", 10**30),
+        ("source_ids", 3),
+        ("source_ids", ["a"]),
+        ("source_ids", {"a": 1}),
+        ("class", [1]),
+        ("label", 5),
+        ("label", "x" * 1001),
+        ("count", None),
+        ("count", -1),
+        ("box", [0, 1]),
+        ("box", {"min": [0, 0, 0]}),
+        ("box", {"min": [0, 0, 0], "max": [0, 0, float("nan")]}),
+        ("oriented_box", {"centre": [0, 0, 0], "quat": [1, 0, 0], "half_sizes": [1, 1, 1]}),
+        ("centre", "abc"),
+        ("centre", [0, 0, "1"]),
+        ("centre", [0, 0, float("inf")]),
+        ("colour", [0, 0, 256]),
+        ("colour", [0, 0, -1]),
+        ("colour", None),
+        ("first_frame", "x"),
+        ("views", 1.5),
+        ("confidence", "x"),
+        ("confidence", float("nan")),
+        ("confidence", []),
+    ],
+)
+def test_a_value_of_another_type_is_named(key, value):
+    with pytest.raises(ValueError, match=f"^{'min|max|quat' if 'box' in key else key}|^box is"):
+        ObjectRecord.from_json(_entry() | {key: value})
+
+
+@pytest.mark.parametrize("key", ["id", "source_ids", "count", "box", "oriented_box", "centre", "colour"])
+def test_a_missing_value_is_named(key):
+    entry = _entry()
+    del entry[key]
+    with pytest.raises(ValueError, match=f"^{key} is missing"):
+        ObjectRecord.from_json(entry)
+
+
+_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.sampled_from(["min", "quat"]), inner),
+    max_leaves=6,
+)
+
+
+@given(changes=st.dictionaries(st.sampled_from(sorted(_entry())), _values, max_size=3) | _values)
+def test_any_json_is_a_record_or_a_value_error(changes):
+    entry = _entry() | changes if isinstance(changes, dict) else changes
+    try:
+        json.dumps(ObjectRecord.from_json(entry).to_json(), allow_nan=False)
+    except ValueError as error:
+        assert str(error).isprintable()
