@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 
 from ggwarp import config, run, session
+from ggwarp.config.options import option_table
 from ggwarp.geometry.camera import Camera
 from ggwarp.io.ply import read_ply
 from ggwarp.io.trajectory import read_tum
@@ -413,7 +414,22 @@ def test_as_a_program(tmp_path):
     assert len(done.stderr.splitlines()) == 1 and "nothing: no such sequence" in done.stderr
     assert list(tmp_path.iterdir()) == []
     shown = subprocess.run([sys.executable, "-m", "ggwarp.run", "--help"], capture_output=True, text=True)
-    assert shown.returncode == 0
+    assert shown.returncode == 0 and len(shown.stdout.splitlines()) <= 60
     options = "seq data masks out device preset tracker frames scale fps pipelined refine save-renders config"
     for option in options.split():
         assert f"--{option} " in shown.stdout
+    assert shown.stdout.count("ggwarp run --seq") == 3, "three examples come first"
+    everything = subprocess.run(
+        [sys.executable, "-m", "ggwarp.run", "--help-all"], capture_output=True, text=True
+    )
+    assert everything.returncode == 0
+    for option in option_table():
+        assert f"{option.flag} " in everything.stdout or f"{option.flag}," in everything.stdout
+
+
+def test_quiet_says_little(scene, fake, capsys):
+    assert run.main(["--seq", "room9", "--device", "cpu", "--out", "o", "-q"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("frames ") and lines[-1] == "results in o"
+    assert run.main(["--seq", "room9", "--device", "cpu", "--out", "o", "-v"]) == 0
+    assert any(line.startswith("frames: 3/6, ") for line in capsys.readouterr().out.splitlines())

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compare our tracking with small_gicp's on the same points and the same map policy.
 
-    ggwarp compare-tracking office0_kf livingroom1 --data ../shared/data
+    ggwarp compare-tracking office0_kf livingroom1 --data ~/data
 
 Three rows a sequence: ours; small_gicp's GICP at its best (constant velocity, 10 cm then 3 cm); and
 with GS-ICP-SLAM's settings (from the previous pose, 2 cm). ATE is the RMSE after SE(3) alignment; ms
@@ -11,16 +11,17 @@ is a frame's time from points to pose, without reading files.
 from __future__ import annotations
 
 import argparse
+import os
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import small_gicp
 
-from ggwarp.datasets import open_dataset
+from ggwarp.datasets import DatasetError, open_dataset
 from ggwarp.evaluation.trajectory import absolute_error
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
@@ -32,6 +33,11 @@ from ggwarp.pipeline.tracking.tracker import Tracker
 from ggwarp.runtime import launch, loading
 from ggwarp.types import Float64, Frame, FramePoints, MapSnapshot, TrackResult, Verdict
 
+try:
+    import small_gicp
+except ImportError:  # the command says what to install
+    small_gicp: Any = None
+
 
 @dataclass(frozen=True)
 class PeerSettings:
@@ -42,6 +48,8 @@ class PeerSettings:
     rotation_epsilon: float
     translation_epsilon: float
 
+
+USER_ERROR = 2
 
 BEST = PeerSettings((0.1, 0.03), True, 1e-5, 1e-5)
 GS_ICP = PeerSettings((0.02,), False, 2e-3, 5e-4)
@@ -154,18 +162,29 @@ def run(tracker: Tracker, dataset: Any) -> tuple[float, float, int]:
     return 100.0 * error.rmse, 1e3 * float(np.median(times)), lost
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; return its exit code."""
+    parser = argparse.ArgumentParser(
+        prog="ggwarp compare-tracking", description=(__doc__ or "").split("\n")[0]
+    )
     parser.add_argument("sequences", nargs="+", help="names under the data root, or folders")
-    parser.add_argument("--data", type=Path, default=Path("data"), help="data root")
+    parser.add_argument("--data", type=Path, help="data root (default: $GGWARP_DATA, else ./data)")
     parser.add_argument("--threads", type=int, default=launch.cpu_threads(), help="threads of each")
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
+    if small_gicp is None:
+        print("ggwarp compare-tracking: small_gicp is not installed: pip install small_gicp", file=sys.stderr)
+        return USER_ERROR
+    root = options.data or Path(os.environ.get("GGWARP_DATA") or "data")
     loading.init_quietly()
     launch.set_cpu_threads(options.threads)
     config = GicpConfig()
     print(f"{'sequence':28} {'tracker':22} {'ATE cm':>8} {'ms':>7} {'lost':>5}")
     for name in options.sequences:
-        dataset = open_dataset(name, data_root=options.data, masks="none")
+        try:
+            dataset = open_dataset(name, data_root=root, masks="none")
+        except DatasetError as error:
+            print(f"ggwarp compare-tracking: {error}", file=sys.stderr)
+            return USER_ERROR
         trackers = {
             "ggwarp": GicpTracker(config, dataset.camera),
             "small_gicp, best": PeerTracker(BEST, config, dataset.camera),
@@ -175,7 +194,8 @@ def main() -> None:
             ate, ms, lost = run(tracker, dataset)
             shown = "" if isinstance(tracker, PeerTracker) else str(lost)
             print(f"{dataset.name:28} {label:22} {ate:8.4f} {ms:7.1f} {shown:>5}", flush=True)
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

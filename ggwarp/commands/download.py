@@ -218,7 +218,9 @@ def _size(path: Path) -> int:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; return its exit code (2: it failed, and said why)."""
-    parser = argparse.ArgumentParser(description="Fetch a sequence from its official archive.")
+    parser = argparse.ArgumentParser(
+        prog="ggwarp download", description="Fetch a sequence from its official archive."
+    )
     parser.add_argument("kind", choices=("replica", "tum"))
     parser.add_argument("name", help="such as office0, fr1/xyz, freiburg3_long_office_household")
     parser.add_argument(
@@ -235,12 +237,12 @@ def main(arguments: list[str] | None = None) -> int:
         source = find_source(options.kind, options.name, options.data, options.url)
         sequence = fetch(source, console)
     except DownloadError as error:
-        print(f"error: {printable(str(error))}", file=sys.stderr)
+        print(f"ggwarp download: {printable(str(error))}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("stopped; run the same command to go on", file=sys.stderr)
         return 130
-    console.print(f"{sequence}: python -m ggwarp.run --data {options.data} --seq {source.name}")
+    console.print(f"{sequence}: ggwarp run --data {options.data} --seq {source.name}")
     return 0
 
 

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compiling every kernel beforehand: ``python -m ggwarp.commands.precompile --arch 80 90 --out DIR``.
+"""Compile every kernel beforehand.
+
+    ggwarp precompile                               for the devices of this machine
+    ggwarp precompile --arch 80 90 --out DIR        for others, which need not be here
 
 Neither a GPU nor a driver is needed. The binaries lie in a kernel cache as Warp looks for them: in its own,
 or in DIR, which ``WARP_CACHE_PATH=DIR`` makes the cache of a later run. That may be on another machine, with
@@ -22,7 +25,7 @@ from ggwarp.runtime import loading
 def main(arguments: Sequence[str] | None = None) -> int:
     """Compile as ``arguments`` say; return the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m ggwarp.commands.precompile",
+        prog="ggwarp precompile",
         description="Compile every kernel beforehand; neither a GPU nor a driver is needed.",
     )
     parser.add_argument(
@@ -41,11 +44,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for target in options.arch or wp.get_devices():
             _compile(target)
     except loading.ArchitectureError as error:
-        print(f"error: {error}", file=sys.stderr)
+        print(f"ggwarp precompile: {error}", file=sys.stderr)
         return 2
     print(f"in {wp.config.kernel_cache_dir}")
     if options.out is not None:
-        print(f"to use them: WARP_CACHE_PATH={options.out} python -m ggwarp.run ...")
+        print(f"to use them: WARP_CACHE_PATH={options.out} ggwarp run ...")
     return 0
 
 

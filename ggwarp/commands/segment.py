@@ -3,7 +3,7 @@
 
     pip install torchvision                      # Mask R-CNN; its weights are fetched on first use
     ggwarp segment redkitchen masks
-    python -m ggwarp.run --seq redkitchen --masks masks --masks-kind untracked
+    ggwarp run --seq redkitchen --masks masks --masks-kind untracked
 
     pip install git+https://github.com/facebookresearch/sam2    # segments of everything, without classes
     ggwarp segment redkitchen masks --model sam2 --device cuda
@@ -161,7 +161,7 @@ def write_masks(dataset: Dataset, segment: Segment, out: Path, *, step: int = 1)
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; return its exit code."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser = argparse.ArgumentParser(prog="ggwarp segment", description=(__doc__ or "").split("\n")[0])
     parser.add_argument("source", help="a sequence's name or folder")
     parser.add_argument("out", type=Path, help="folder for the masks: new, or empty")
     parser.add_argument(
@@ -169,7 +169,7 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("--data", type=Path, help="data root (default: $GGWARP_DATA, else ./data)")
     parser.add_argument("--device", default="cpu", help="torch device of the models above (cpu)")
-    parser.add_argument("--step", type=int, default=1, help="segment every so-manyth frame")
+    parser.add_argument("--step", type=int, default=1, help="segment every N-th frame (1)", metavar="N")
     options = parser.parse_args(arguments)
     if options.step < 1:
         parser.error(f"--step {options.step}: must be at least 1")
@@ -179,7 +179,7 @@ def main(arguments: list[str] | None = None) -> int:
         segment = load_segmenter(options.model, options.device)
         written = write_masks(dataset, segment, options.out, step=options.step)
     except (DatasetError, SegmenterError, OSError) as error:
-        print(f"segment: {error}", file=sys.stderr)
+        print(f"ggwarp segment: {error}", file=sys.stderr)
         return 2
     print(f"{written} masks in {options.out}; run with --masks {options.out} --masks-kind untracked")
     return 0

@@ -2,7 +2,7 @@
 """Spoil object masks as trackers and segmenters do, repeatably, to see what a run makes of them.
 
     ggwarp spoil-masks office spoilt --dots 0.05 --ragged 3 --missing 0.1 --swapped 0.05
-    python -m ggwarp.run --seq office --masks spoilt
+    ggwarp run --seq office --masks spoilt
 
 The source is a sequence (its own masks are spoilt) or a folder of masks. Faults are drawn from (seed, frame)
 alone; pixels are those of the masks, so that a run at ``--scale 0.25`` sees a quarter of them.
@@ -78,7 +78,7 @@ def spoil(source: str, out: Path, faults: MaskFaults, data_root: Path) -> tuple[
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; return its exit code."""
-    parser = argparse.ArgumentParser(description="Spoil object masks, repeatably.")
+    parser = argparse.ArgumentParser(prog="ggwarp spoil-masks", description="Spoil object masks, repeatably.")
     parser.add_argument("source", help="a sequence's name or folder, or a folder of masks")
     parser.add_argument("out", type=Path, help="folder for the spoilt masks: new, or empty")
     parser.add_argument("--data", type=Path, help="data root (default: $GGWARP_DATA, else ./data)")
@@ -135,7 +135,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         written, missing = spoil(options.source, options.out, faults, root)
     except (DatasetError, OSError) as error:
-        print(f"spoil_masks: {error}", file=sys.stderr)
+        print(f"ggwarp spoil-masks: {error}", file=sys.stderr)
         return 2
     print(f"{written} masks in {options.out}; {missing} frames have none")
     return 0

@@ -1,25 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """ggwarp spoil-masks: what it writes is what a run reads, and the same every time."""
 
-import importlib.util
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
 
+from ggwarp.commands import spoil_masks
 from ggwarp.datasets.built_in.faults import MaskFaults, changed_names, faulty_mask, shared_names
 from ggwarp.datasets.masks import read_mask, write_mask
-
-
-@pytest.fixture(scope="module")
-def tool() -> ModuleType:
-    path = Path(__file__).parents[2] / "ggwarp/commands/spoil_masks.py"
-    spec = importlib.util.spec_from_file_location("spoil_masks", path)
-    assert spec and spec.loader
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 @pytest.fixture
@@ -37,12 +26,10 @@ OPTIONS = ["--dots", "0.05", "--ragged", "3", "--missing", "0.2", "--swapped", "
 
 
 @pytest.mark.parametrize("source", ["masks", "sequence"])
-def test_writes_the_faults_of_the_data_sets(
-    tool: ModuleType, clean: Path, tmp_path: Path, source: str
-) -> None:
+def test_writes_the_faults_of_the_data_sets(clean: Path, tmp_path: Path, source: str) -> None:
     given = clean if source == "masks" else clean.parent
     out = tmp_path / "out"
-    assert tool.main([str(given), str(out), *OPTIONS]) == 0
+    assert spoil_masks.main([str(given), str(out), *OPTIONS]) == 0
     faults = MaskFaults(dots=0.05, ragged=3, missing=0.2, swapped=0.1, seed=4)
     written = {path.stem for path in out.iterdir()}
     assert 18 <= len(written) < 30
@@ -53,11 +40,11 @@ def test_writes_the_faults_of_the_data_sets(
             np.testing.assert_array_equal(read_mask(out / path.name), want)
 
 
-def test_tracks_break_for_good(tool: ModuleType, clean: Path, tmp_path: Path) -> None:
+def test_tracks_break_for_good(clean: Path, tmp_path: Path) -> None:
     """Up to frame 10 as they were; from there on 300 carries 7's id, or both carry new ones."""
     for name, want in (("stolen", {7: 301, 300: 7}), ("reborn", {7: 301, 300: 302})):
         out = tmp_path / name
-        assert tool.main([str(clean), str(out), f"--{name}", "0.999", "--changed-at", "10"]) == 0
+        assert spoil_masks.main([str(clean), str(out), f"--{name}", "0.999", "--changed-at", "10"]) == 0
         for i, path in enumerate(sorted(clean.iterdir())):
             given, got = read_mask(path), read_mask(out / path.name)
             for old, new in want.items():
@@ -73,13 +60,13 @@ def test_no_two_objects_share_an_id_after_a_break() -> None:
     assert changed_names(ids, 0.0, 0.0, np.random.default_rng(0)) == {}
 
 
-def test_says_what_is_wrong(tool: ModuleType, clean: Path, tmp_path: Path, capsys) -> None:
-    assert tool.main([str(clean), str(clean)]) == 2
+def test_says_what_is_wrong(clean: Path, tmp_path: Path, capsys) -> None:
+    assert spoil_masks.main([str(clean), str(clean)]) == 2
     assert "is not empty" in capsys.readouterr().err
-    assert tool.main([str(tmp_path / "absent"), str(tmp_path / "out")]) == 2
+    assert spoil_masks.main([str(tmp_path / "absent"), str(tmp_path / "out")]) == 2
     assert "no such sequence" in capsys.readouterr().err
     with pytest.raises(SystemExit):
-        tool.main([str(clean), str(tmp_path / "out"), "--dots", "5"])
+        spoil_masks.main([str(clean), str(tmp_path / "out"), "--dots", "5"])
 
 
 def test_shared_ids_are_another_object_s_in_every_frame(rng: np.random.Generator) -> None:

@@ -33,8 +33,8 @@ class RefinementConfig:
     """How a pose is refined by colour (--tracker photometric and hybrid)."""
 
     method: Literal["alignment", "descent"] = "alignment"
-    """alignment: Gauss-Newton on the picture against a render, which is then taken anew; descent: Adam
-    through the renderer, as published (MonoGS), with many times the renders."""
+    """How a pose is found by rendering. alignment is Gauss-Newton on the picture against a render, which is
+    then taken anew; descent is Adam through the renderer (MonoGS), with many times the renders."""
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The front door: ``ggwarp COMMAND ...``, or ``python -m ggwarp COMMAND ...``."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import logging
+import os
+import sys
+from collections.abc import Sequence
+
+from ggwarp import __version__
+
+COMMANDS: dict[str, tuple[str, str]] = {
+    "run": ("ggwarp.run", "follow a recording's camera, and learn a map of its room"),
+    "objects": ("ggwarp.editing.__main__", "list, show, remove, move, paint and name a run's objects"),
+    "doctor": ("ggwarp.commands.doctor", "say what this machine has, what is missing, and how to get it"),
+    "download": ("ggwarp.commands.download", "fetch a sequence from its official archive"),
+    "segment": ("ggwarp.commands.segment", "write object masks with an image segmenter"),
+    "spoil-masks": ("ggwarp.commands.spoil_masks", "spoil object masks as trackers do, repeatably"),
+    "compare-tracking": ("ggwarp.commands.compare_tracking", "compare tracking with small_gicp's"),
+    "precompile": ("ggwarp.commands.precompile", "compile every kernel beforehand"),
+}
+"""Subcommand -> the module whose ``main(arguments)`` it is, imported when asked for, and what it does."""
+
+FAILED = 1
+USER_ERROR = 2
+
+_LEVELS = {"-v": logging.DEBUG, "--verbose": logging.DEBUG, "-q": logging.WARNING, "--quiet": logging.WARNING}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the subcommand that ``arguments`` begin with, and return its exit code."""
+    rest = list(sys.argv[1:] if arguments is None else arguments)
+    loudness: list[str] = []
+    while rest and rest[0] in _LEVELS:
+        loudness.append(rest.pop(0))
+    if not rest or rest[0] in ("-h", "--help"):
+        print(_help())
+        return 0 if rest else USER_ERROR
+    if rest[0] == "--version":
+        print(f"ggwarp {__version__}")
+        return 0
+    if rest[0].startswith("-"):
+        rest.insert(0, "run")  # ggwarp --seq office0
+    name, rest = rest[0], rest[1:]
+    if name not in COMMANDS:
+        close = difflib.get_close_matches(name, COMMANDS, n=1)
+        hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(COMMANDS)}"
+        print(f"ggwarp: {name}: no such command; {hint}", file=sys.stderr)
+        return USER_ERROR
+    if name == "run":
+        rest = loudness + rest
+    elif loudness:
+        logging.getLogger("ggwarp").setLevel(_LEVELS[loudness[-1]])
+    try:
+        return importlib.import_module(COMMANDS[name][0]).main(rest)
+    except ModuleNotFoundError as error:
+        if (error.name or "ggwarp").partition(".")[0] == "ggwarp":
+            raise
+        print(f"ggwarp: {error.name} is not installed; ggwarp doctor says how to get it", file=sys.stderr)
+        return USER_ERROR
+    except BrokenPipeError:  # what was to read has gone: head, a pager
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return FAILED
+
+
+def _help() -> str:
+    rows = "\n".join(f"  {name:18}{about}" for name, (_, about) in COMMANDS.items())
+    return f"""\
+ggwarp {__version__}: object-level RGB-D Gaussian-splatting SLAM.
+
+  ggwarp run --seq office                 a built-in room, on any machine
+  ggwarp objects runs/latest list         what is in it
+  ggwarp doctor                           where something does not work
+
+Commands (ggwarp COMMAND --help says more):
+{rows}
+
+Before or after run: -v says more, -q less. --version says which ggwarp this is."""
+
+
+if __name__ == "__main__":
+    sys.exit(main())
