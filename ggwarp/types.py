@@ -174,8 +174,8 @@ class Rendered:
         identity: [h, w, 16] float32; None without identities.
         objects: [h, w] int32 object ids as the given masks name them, 0 = none; None without
             identities.
-        classes: [h, w] int32 the likeliest class, as the identity classifier counts them; None without
-            identities.
+        classes: [h, w] int32 the likeliest class, as the identity classifier counts them, merged ones as
+            one; None without identities.
         confidence: [h, w] float32, its probability, 0..1; None without identities.
     """
 

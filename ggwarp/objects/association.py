@@ -51,7 +51,8 @@ class TrackedIds:
 
     def associate(self, mask: Labels, surface: PosedDepth, knowledge: MapKnowledge | None) -> MaskView:
         """See :meth:`Association.associate`."""
-        return MaskView(surface, self._classes.encode(mask), knowledge)
+        ids, ranks = ranked(mask)
+        return MaskView(surface, self._classes.encode_ids(ids)[ranks], knowledge)
 
 
 @dataclass(frozen=True)

@@ -50,9 +50,13 @@ class ClassTable:
 
         Negative ids become :data:`IGNORED`.
         """
-        present, ranks = ranked(mask)
-        classes = [IGNORED if raw < 0 else self._class_of(raw) for raw in present.tolist()]
-        return self.merged(np.array(classes, np.int32))[ranks]
+        ids, ranks = ranked(mask)
+        return self.encode_ids(ids)[ranks]
+
+    def encode_ids(self, ids: NDArray[np.int32]) -> NDArray[np.int32]:
+        """Return [k] the class of each of distinct ``ids`` [k]; as :meth:`encode`."""
+        classes = [IGNORED if raw < 0 else self._class_of(raw) for raw in ids.tolist()]
+        return self.merged(np.array(classes, np.int32))
 
     def decode(self, classes: NDArray[np.int32]) -> NDArray[np.int32]:
         """Return the ids of ``classes`` (any shape); ignored or unknown ones become 0."""

@@ -6,7 +6,6 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
@@ -14,7 +13,7 @@ from ggwarp.kernels.camera import intrinsics_of
 from ggwarp.kernels.identity.label_fusion import fuse_labels, gather_evidence
 from ggwarp.kernels.math import vec16
 from ggwarp.map.gaussian_map import GaussianMap
-from ggwarp.objects.class_table import IGNORED, ClassTable
+from ggwarp.objects.class_table import IGNORED
 from ggwarp.objects.classifier import Classifier
 from ggwarp.objects.labels import Labels
 from ggwarp.objects.mask_view import MapKnowledge, MaskView, PosedDepth
@@ -36,7 +35,6 @@ class GaussianVotes:
         self,
         camera: Camera,
         gaussians: GaussianMap,
-        classes: ClassTable,
         classifier: Classifier,
         *,
         votes: int,
@@ -45,58 +43,23 @@ class GaussianVotes:
 
         Args:
             camera: of the frames.
+            classifier: has the codes of all classes that masks show.
             votes: of a Gaussian that its identity is the mean of, at most.
         """
         self._map = gaussians
-        self._classes = classes
         self._classifier = classifier
         self._votes = votes
         self._device = gaussians.device
         self._intrinsics = intrinsics_of(camera)
 
-    def seen(self, depth: Float32, rendered: Rendered) -> Labels:
-        """Return [h, w] the map's class where it shows the surface at ``depth`` [h, w], else negative."""
-        assert rendered.classes is not None
-        same = np.abs(rendered.median_depth - depth) <= _DEPTH_TOLERANCE * depth
-        shown = same & (depth > 0.0) & (rendered.opacity > _OPAQUE)
-        return np.where(shown, self._classes.merged(rendered.classes), IGNORED)
-
     def look(self, surface: PosedDepth, rendered: Rendered) -> MapKnowledge:
         """Return what the map knows of ``surface``; ``rendered`` is its view from there."""
         assert rendered.confidence is not None
+        seen = seen_classes(surface.depth, rendered)
+        probable = np.where(rendered.confidence >= _PROBABLE, seen, IGNORED)
         inverse = se3.inverse(surface.T_wc).astype(np.float32)
         T_cw = wp.array(inverse[None], dtype=wp.mat44, device=self._device)
         depth = wp.array(surface.depth, dtype=float, device=self._device)
-        seen = self.seen(surface.depth, rendered)
-        probable = np.where(rendered.confidence >= _PROBABLE, seen, IGNORED)
-        votes = self._shown_votes(T_cw, depth)
-        known, certain = (
-            np.where(votes >= least, probable, IGNORED) for least in (_KNOWN_VOTES, _CERTAIN_VOTES)
-        )
-        return MapKnowledge(seen, known, certain, T_cw, depth)
-
-    def cast(self, mask: MaskView) -> None:
-        """Let each pixel of ``mask`` vote for the Gaussian that it shows."""
-        assert mask.knowledge is not None
-        limits = np.full(self._classes.count, self._votes, np.int32)
-        limits[list(mask.fresh)] = min(_FRESH_LIMIT, self._votes)
-        fuse_labels(
-            self._map.fields["means"],
-            count=self._map.count,
-            T_cw=mask.knowledge.T_cw,
-            camera=self._intrinsics,
-            depth=mask.knowledge.depth,
-            labels=wp.array(mask.labels, dtype=int, device=self._device),
-            codes=wp.array(self._classifier.codes, dtype=vec16, device=self._device),
-            tolerance=_DEPTH_TOLERANCE,
-            limits=wp.array(limits, dtype=int, device=self._device),
-            identities=self._map.fields["identities"],
-            votes=self._map.fields["votes"],
-            device=self._device,
-        )
-
-    def _shown_votes(self, T_cw: wp.array, depth: wp.array) -> NDArray[np.uint8]:
-        """Return [h, w] how many votes are behind what the map shows."""
         counts = wp.empty(depth.shape, dtype=int, device=self._device)
         gather_evidence(
             self._map.fields["means"],
@@ -110,5 +73,37 @@ class GaussianVotes:
             device=self._device,
         )
         # Centres are sparser than pixels.
-        dilated = cv2.dilate(to_host(counts).astype(np.uint8), np.ones((3, 3), np.uint8))
-        return np.asarray(dilated, np.uint8)
+        votes = cv2.dilate(to_host(counts).astype(np.uint8), np.ones((3, 3), np.uint8))
+        known, certain = (
+            np.where(votes >= least, probable, IGNORED) for least in (_KNOWN_VOTES, _CERTAIN_VOTES)
+        )
+        return MapKnowledge(seen, known, certain, T_cw, depth)
+
+    def cast(self, mask: MaskView) -> None:
+        """Let each pixel of ``mask`` vote for the Gaussian that it shows."""
+        assert mask.knowledge is not None
+        codes = self._classifier.codes
+        limits = np.full(len(codes), self._votes, np.int32)
+        limits[list(mask.fresh)] = min(_FRESH_LIMIT, self._votes)
+        fuse_labels(
+            self._map.fields["means"],
+            count=self._map.count,
+            T_cw=mask.knowledge.T_cw,
+            camera=self._intrinsics,
+            depth=mask.knowledge.depth,
+            labels=wp.array(mask.labels, dtype=int, device=self._device),
+            codes=wp.array(codes, dtype=vec16, device=self._device),
+            tolerance=_DEPTH_TOLERANCE,
+            limits=wp.array(limits, dtype=int, device=self._device),
+            identities=self._map.fields["identities"],
+            votes=self._map.fields["votes"],
+            device=self._device,
+        )
+
+
+def seen_classes(depth: Float32, rendered: Rendered) -> Labels:
+    """Return [h, w] the map's class where it shows the surface at ``depth`` [h, w], else negative."""
+    assert rendered.classes is not None
+    same = np.abs(rendered.median_depth - depth) <= _DEPTH_TOLERANCE * depth
+    shown = same & (depth > 0.0) & (rendered.opacity > _OPAQUE)
+    return np.where(shown, rendered.classes, IGNORED)

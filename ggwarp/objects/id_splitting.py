@@ -101,7 +101,7 @@ class SharedIdSplitter:
             out[pixels & (depth > 0.0)] = np.array([p.index for p in objects], np.int32)[near]
             young = (p.index for p in objects if p.views <= 2 * self._config.views)
             fresh.update(index for index in young if index is not None and index != label)
-        return mask.with_labels(self._classes.merged(out), *fresh)
+        return mask if out is given else mask.with_labels(self._classes.merged(out), *fresh)
 
     def grown_together(self) -> list[tuple[int, int]]:
         """Return the objects (kept, gone) of one id that have grown together; they are one from now on."""

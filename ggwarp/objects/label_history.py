@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggwarp.geometry.voxels import voxel_keys
-from ggwarp.objects.class_table import ClassTable
+from ggwarp.objects.class_table import IGNORED, ClassTable
 from ggwarp.objects.labels import Labels, contingency, ranked
 from ggwarp.objects.mask_view import MaskView
 
@@ -39,6 +39,20 @@ class LabelHistory:
         """Prepare to count; ``classes`` says which objects share an id."""
         self._classes = classes
         self._views: Counter[tuple[int, int, int]] = Counter()  # (voxel, object, label)
+        self._kept: dict[int, NDArray[np.uint8]] = {}
+
+    def keep(self, index: int, labels: Labels) -> None:
+        """Keep the labels that frame ``index`` came with, [h, w]."""
+        # As a PNG: a few kilobytes, where the image would be megabytes.
+        picture = (labels - IGNORED).astype(np.uint16)
+        self._kept[index] = np.asarray(cv2.imencode(".png", picture)[1], np.uint8)
+
+    def kept(self, index: int) -> Labels | None:
+        """Return the labels that frame ``index`` came with, merged since; None: they were not kept."""
+        if index not in self._kept:
+            return None
+        picture = cv2.imdecode(self._kept[index], cv2.IMREAD_UNCHANGED)
+        return self._classes.merged(np.asarray(picture, np.int32) + IGNORED)
 
     def correct(self, mask: MaskView, *, anew: bool = True) -> MaskView:
         """Take in a view; return it with the labels replaced that are wrong about an object of the map.

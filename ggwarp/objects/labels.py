@@ -11,13 +11,6 @@ from numpy.typing import NDArray
 
 Labels = NDArray[np.int32]
 _EDGE = 0.01  # of the image's width: so near to a mask's border it may be wrong
-_STATISTICS = 50_000  # pixels that are enough to count over
-
-
-def thinned(height: int, width: int) -> tuple[slice, slice]:
-    """Return the pixels to count over in an image of this size: all of a small one, a grid of a large one."""
-    step = max(1, int((height * width / _STATISTICS) ** 0.5))
-    return slice(step // 2, None, step), slice(step // 2, None, step)
 
 
 def contingency(rows: Labels, columns: Labels, classes: int) -> NDArray[np.int64]:

@@ -13,16 +13,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-import cv2
-import numpy as np
-from numpy.typing import NDArray
-
 from ggwarp.geometry.camera import Camera
 from ggwarp.map.gaussian_map import GaussianMap
 from ggwarp.objects.association import Association, SegmentAssociation, TrackedIds
-from ggwarp.objects.class_table import IGNORED, ClassTable
+from ggwarp.objects.class_table import ClassTable
 from ggwarp.objects.classifier import Classifier
-from ggwarp.objects.gaussian_votes import GaussianVotes
+from ggwarp.objects.gaussian_votes import GaussianVotes, seen_classes
 from ggwarp.objects.id_splitting import SharedIdSplitter, SplittingConfig
 from ggwarp.objects.label_history import LabelHistory
 from ggwarp.objects.labels import Labels
@@ -74,9 +70,8 @@ class ObjectSupervision:
         splitting = config.splitting if tracked and config.votes > 0 else SplittingConfig(views=0)
         self._splitter = SharedIdSplitter(splitting, classes)
         self._history = LabelHistory(classes)
-        self._votes = GaussianVotes(camera, gaussians, classes, classifier, votes=config.votes)
+        self._votes = GaussianVotes(camera, gaussians, classifier, votes=config.votes)
         self._merger = ObjectMerger(classes, self._history, self._splitter)
-        self._kept: dict[int, NDArray[np.uint8]] = {}
 
     def supervise(
         self, frame: Frame, T_wc: Float64, rendered: Rendered | None, *, keep: bool = True
@@ -100,7 +95,7 @@ class ObjectSupervision:
         if self._config.votes == 0:
             return LabelTargets(mask.labels, mask.labels, mask.labels)
         if keep and self._config.relabel_interval > 0:
-            self._kept[frame.index] = _packed(mask.labels)
+            self._history.keep(frame.index, mask.labels)
         if knowledge is None:
             return mask.label_targets()
         corrected = self._history.correct(mask)
@@ -117,25 +112,16 @@ class ObjectSupervision:
             T_wc: [4, 4] its pose.
             rendered: the map's view from there.
         """
-        packed = self._kept.get(index)
-        if packed is None:
+        labels = self._history.kept(index)
+        if labels is None:
             return None
         surface = PosedDepth(depth, T_wc, self._camera)
         knowledge = self._votes.look(surface, rendered)
         knowledge = replace(knowledge, known=knowledge.certain)
-        mask = MaskView(surface, self._classes.merged(_unpacked(packed)), knowledge)
+        mask = MaskView(surface, labels, knowledge)
         return self._history.correct(mask, anew=False).training_labels()
 
     def _without_mask(self, depth: Float32, rendered: Rendered | None) -> LabelTargets | None:
         if rendered is None or self._config.votes == 0:
             return None
-        return targets_without_mask(self._votes.seen(depth, rendered))
-
-
-def _packed(labels: Labels) -> NDArray[np.uint8]:
-    """Return labels as a PNG: a few kilobytes, where the image would be megabytes."""
-    return np.asarray(cv2.imencode(".png", (labels - IGNORED).astype(np.uint16))[1], np.uint8)
-
-
-def _unpacked(packed: NDArray[np.uint8]) -> Labels:
-    return np.asarray(cv2.imdecode(packed, cv2.IMREAD_UNCHANGED), np.int32) + IGNORED
+        return targets_without_mask(seen_classes(depth, rendered))

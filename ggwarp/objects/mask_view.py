@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -12,31 +11,41 @@ from numpy.typing import NDArray
 
 from ggwarp.geometry.camera import Camera
 from ggwarp.objects.class_table import IGNORED, NO_OBJECT
-from ggwarp.objects.labels import Labels, filled, thinned
+from ggwarp.objects.labels import Labels, filled
 from ggwarp.types import Float32, Float64
 
 _TOLERANCE = 0.05  # of the depth: a view shows a point that is no farther from its surface
+_STATISTICS = 50_000  # pixels that are enough to count over
 
 
 @dataclass(frozen=True)
 class PosedDepth:
-    """Where a frame's pixels are in the world: depth [h, w], metres, pose T_wc [4, 4] and camera."""
+    """Where a frame's pixels are in the world.
+
+    Attributes:
+        depth: [h, w] metres.
+        T_wc: [4, 4] pose.
+        camera: of the pixels.
+        grid: the pixels to count over: all of a small image, a grid of a large one.
+        grid_points: [gh, gw, 3] the points at the grid's pixels, world frame; the camera's own place where
+            there is no depth.
+    """
 
     depth: Float32
     T_wc: Float64
     camera: Camera
+    grid: tuple[slice, slice] = field(init=False, repr=False)
+    grid_points: Float64 = field(init=False, repr=False)
 
-    @cached_property
-    def grid(self) -> tuple[slice, slice]:
-        """The pixels to count over: all of a small image, a grid of a large one."""
-        return thinned(*self.depth.shape)
-
-    @cached_property
-    def grid_points(self) -> Float64:
-        """[gh, gw, 3] the points at the grid's pixels, world frame; the camera's where there is no depth."""
-        lines = (np.arange(size)[part] for size, part in zip(self.depth.shape, self.grid, strict=True))
-        rows, columns = np.meshgrid(*lines, indexing="ij")
-        return self._points(rows.ravel(), columns.ravel()).reshape(*rows.shape, 3)
+    def __post_init__(self) -> None:
+        """Compute once what every stage counts over."""
+        height, width = self.depth.shape
+        step = max(1, int((height * width / _STATISTICS) ** 0.5))
+        grid = slice(step // 2, None, step), slice(step // 2, None, step)
+        rows, columns = np.meshgrid(np.arange(height)[grid[0]], np.arange(width)[grid[1]], indexing="ij")
+        points = self._points(rows.ravel(), columns.ravel()).reshape(*rows.shape, 3)
+        object.__setattr__(self, "grid", grid)
+        object.__setattr__(self, "grid_points", points)
 
     def points(self, pixels: NDArray[np.bool_], most: int) -> Float64:
         """Return [k, 3] at ``most`` points of the surface at ``pixels`` [h, w], world frame, evenly drawn."""

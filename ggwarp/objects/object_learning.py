@@ -122,6 +122,7 @@ class ObjectLearning:
             identity: [h, w, 16] its identity on the host.
         """
         classes, confidence = self.classifier.classify_image(image, *rendered.opacity.shape)
+        classes = self.classes.merged(classes)
         objects = np.where(rendered.opacity > _OPAQUE, self.classes.decode(classes), NO_OBJECT)
         return replace(
             rendered,

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
 
-from ggwarp.objects.labels import contingency, filled, ranked, solid, thinned
+from ggwarp.objects.labels import contingency, filled, ranked, solid
 
 
 def test_pairs_of_known_labels_are_counted() -> None:
@@ -18,12 +18,6 @@ def test_unknown_pixels_take_the_nearest_label() -> None:
     assert (filled(np.full((3, 3), -1, np.int32)) == -1).all()
     known = np.arange(6, dtype=np.int32).reshape(2, 3)
     assert (filled(known) == known).all()
-
-
-def test_large_images_are_counted_on_a_grid() -> None:
-    small, large = np.zeros((170, 300)), np.zeros((680, 1200))
-    assert small[thinned(*small.shape)].shape == small.shape
-    assert 40_000 < large[thinned(*large.shape)].size < 60_000
 
 
 def test_dots_and_strips_are_not_solid() -> None:

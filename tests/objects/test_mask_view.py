@@ -30,6 +30,12 @@ def test_only_points_that_a_view_shows_are_looked_up(wall_from: Callable) -> Non
     assert len(wall_from(50.0)[0].look_up(points, labels)) == 0
 
 
+def test_large_images_are_counted_on_a_grid() -> None:
+    small, large = (np.zeros(shape, np.float32) for shape in ((170, 300), (680, 1200)))
+    assert small[PosedDepth(small, np.eye(4), CAMERA).grid].shape == small.shape
+    assert 40_000 < large[PosedDepth(large, np.eye(4), CAMERA).grid].size < 60_000
+
+
 def test_points_of_the_grid_are_those_of_its_pixels(rng: np.random.Generator) -> None:
     camera = Camera(800, 500, 500.0, 500.0, 399.5, 249.5)
     depth = rng.uniform(1.0, 3.0, (500, 800)).astype(np.float32)
