@@ -51,17 +51,15 @@ def resolve_config(config: RunConfig, dataset: Dataset) -> RunConfig:
 def monocular(config: SlamConfig) -> SlamConfig:
     """Return ``config`` for frames without depth: options left at their defaults become those that fit.
 
-    Poses come by colour and are fitted with the map, in a window; Gaussians begin round, move faster and
-    keep their rates, as the poses that they follow still move.
+    Poses come by colour and are fitted with the map, in a window; Gaussians keep their rates, as the poses
+    that they follow still move. Mapping has them begin round and move faster.
     """
     mapper, default = config.mapper, MapperConfig()
     changes: dict[str, Any] = {
-        "rates": dataclasses.replace(default.rates, means=3e-4),
         "iterations": 16,
         "pose_rates": (5e-4, 5e-4),
         "rate_decay": 0.0,
         "exposure_rate": 0.01,
-        "seeding": dataclasses.replace(default.seeding, flatness=1.0, max_stretch=1.0),
     }
     left = {name: value for name, value in changes.items() if getattr(mapper, name) == getattr(default, name)}
     return dataclasses.replace(

@@ -39,15 +39,8 @@ class MapView:
 
     def render(self, T_wc: Float64) -> Rendered:
         """Return the map's view from ``T_wc`` [4, 4]."""
-        r = self._renderer
-        r.render(T_wc)
-        image = r.plane(r.image)
-        return Rendered(
-            rgb=np.ascontiguousarray(np.clip(image[:3], 0.0, 1.0).transpose(1, 2, 0)),
-            depth=image[3],
-            median_depth=r.plane(r.median_depth),
-            opacity=np.float32(1.0) - r.plane(r.transmittance),
-        )
+        self._renderer.render(T_wc)
+        return self._renderer.picture()
 
     def coverage(self, T_wc: Float64, *selections: Bools) -> Float32:
         """Return [k, h, w] how much of each pixel is made of each of up to three ``selections`` [n].

@@ -22,7 +22,7 @@ from ggwarp.kernels.raster.tiles_parallel import PEAK
 from ggwarp.kernels.workspaces import allocate_slot_gradients, allocate_splats, allocate_tiles
 from ggwarp.map.gaussian_map import PARAMETERS, GaussianMap
 from ggwarp.runtime.streams import to_host
-from ggwarp.types import Float32, Float64
+from ggwarp.types import Float32, Float64, Rendered
 
 _SLOTS_PER_GAUSSIAN = 4
 _GROWTH = 1.5
@@ -185,9 +185,19 @@ class Renderer:
         matrix = se3.inverse(T_wc).astype(np.float32)
         return wp.array(matrix[None], dtype=wp.mat44, device=self._device)
 
-    def plane(self, array: wp.array) -> Float32:
+    def plane(self, array: Any) -> Float32:
         """Return a copy of a plane or image, without its padding."""
         return to_host(array)[..., : self.camera.height, : self.camera.width].copy()
+
+    def picture(self) -> Rendered:
+        """Return the last render on the host, without identities."""
+        image = self.plane(self.image[:4])
+        return Rendered(
+            rgb=np.ascontiguousarray(np.clip(image[:3], 0.0, 1.0).transpose(1, 2, 0)),
+            depth=image[3],
+            median_depth=self.plane(self.median_depth),
+            opacity=np.float32(1.0) - self.plane(self.transmittance),
+        )
 
     def make_room(self) -> bool:
         """Allocate the tile slots that renders so far lacked; wait for the device. True if they did."""

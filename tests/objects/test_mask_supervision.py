@@ -93,7 +93,7 @@ def test_a_keyframe_s_early_mistake_is_taken_back(relabel_interval: int, device:
     mapper = mapped(
         device, frame, [swapped, *[frame.mask] * 5], vote_interval=0, relabel_interval=relabel_interval
     )
-    keyframe = mapper._optimiser.keyframes[0]
+    keyframe = mapper._keyframes[0]
     right = mapper.objects.classes.encode(frame.mask)
     where = (frame.mask == first) | (frame.mask == second)
     assert (keyframe.labels.numpy()[where] != right[where]).all()

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from ggwarp.datasets.built_in.synthetic import SyntheticOffice
+from ggwarp.pipeline.mapping import optimiser
 from ggwarp.pipeline.mapping.mapper import MapperConfig
 from ggwarp.pipeline.runner import AHEAD, SideError, run_steps
 from ggwarp.pipeline.scheduler import UncappedScheduler
@@ -157,8 +158,13 @@ def test_the_tracker_runs_ahead_but_not_far() -> None:
 OFFICE = SyntheticOffice(scale=0.15)
 
 
+@pytest.fixture(autouse=True)
+def prune_often(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(optimiser, "_PRUNE_INTERVAL", 3)
+
+
 def office_run(device: str, *, concurrent: bool, scheduler: Any = None) -> Slam:
-    config = SlamConfig(mapper=MapperConfig(iterations=2, prune_interval=3))
+    config = SlamConfig(mapper=MapperConfig(iterations=2))
     slam = Slam(config, OFFICE.camera, OFFICE.camera, device=device, scheduler=scheduler)
     for _ in run_steps(slam, (OFFICE[i] for i in range(0, 24, 4)), concurrent=concurrent):
         pass

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggwarp.editing.edits import remove
-from ggwarp.editing.inpaint.fitting import RefitConfig, Target, fit
+from ggwarp.editing.inpaint.fitting import RefitConfig, WantedView, fit
 from ggwarp.editing.inpaint.holes import HoleConfig, PlaneHole, find_holes, hits
 from ggwarp.editing.inpaint.image_inpainting import Inpaint, inpaint_depth, inpaint_shade
 from ggwarp.editing.inpaint.object_views import ObjectView, look, share_in_the_clear, world_rays
@@ -103,8 +103,8 @@ def fill_removed(
     filled = _fill_rest(filled, object_views, camera, inpaint, config, device)
     free = _over(holes, filled, config)
     free[len(kept) :] = True
-    targets = _targets(filled, surfaces, object_views, camera, config, device)
-    return fit(filled, free, targets, camera, config.fit, device=device), len(filled) - len(kept)
+    wanted = _wanted_views(filled, surfaces, object_views, camera, config, device)
+    return fit(filled, free, wanted, camera, config.fit, device=device), len(filled) - len(kept)
 
 
 def _over(holes: list[PlaneHole], gaussians: Gaussians, config: FillConfig) -> Bools:
@@ -181,18 +181,18 @@ def _new_gaussians(
     )
 
 
-def _targets(
+def _wanted_views(
     filled: Gaussians,
     surfaces: list[Surface],
     object_views: list[ObjectView],
     camera: Camera,
     config: FillConfig,
     device: Any,
-) -> list[Target]:
+) -> list[WantedView]:
     """Return what each view should show: the painted surfaces where the object was, all else as it is."""
     view = MapView(filled, camera, device=device)
     holes = [surface.hole for surface in surfaces]
-    targets = []
+    wanted = []
     for object_view in object_views[: config.fit.views]:
         seen = view.render(object_view.T_wc)
         whole = np.where(object_view.touched[..., None], seen.rgb, object_view.rgb)
@@ -207,5 +207,5 @@ def _targets(
             own = which == k
             rgb[rows[own], columns[own]] = np.rint(surface.colours(points[own]))
             depth[rows[own], columns[own]] = along[own]
-        targets.append(Target(object_view.T_wc, rgb, depth))
-    return targets
+        wanted.append(WantedView(object_view.T_wc, rgb, depth))
+    return wanted

@@ -11,14 +11,11 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ggwarp.geometry.camera import Camera
-from ggwarp.kernels.losses.rgbd import LOSS_COUNT, rgbd_loss
-from ggwarp.kernels.math import vec16
-from ggwarp.kernels.optim.adam import AdamRates, adam_gaussians
-from ggwarp.kernels.workspaces import allocate_loss
+from ggwarp.kernels.optim.adam import AdamRates
 from ggwarp.map.gaussian_map import PARAMETERS, GaussianMap
+from ggwarp.map.gaussian_optimiser import GaussianOptimiser
 from ggwarp.map.gaussians import Gaussians
 from ggwarp.map.renderer import Renderer
-from ggwarp.runtime.streams import to_host
 from ggwarp.types import Float32, Float64
 
 _RATES = AdamRates(means=1e-4, quats=2e-3, log_scales=5e-3, opacity=0.02, colours=5e-3)
@@ -39,7 +36,7 @@ class RefitConfig:
 
 
 @dataclass(frozen=True)
-class Target:
+class WantedView:
     """What a view should show.
 
     Attributes:
@@ -53,60 +50,48 @@ class Target:
     depth: Float32
 
 
+@dataclass(frozen=True)
+class _Uploaded:
+    """A wanted view on the device; see :class:`ggwarp.map.gaussian_optimiser.TargetView`."""
+
+    T_cw: wp.array
+    colour: wp.array
+    depth: wp.array
+    has_depth: bool = True
+
+
 def fit(
     gaussians: Gaussians,
     free: NDArray[np.bool_],
-    targets: list[Target],
+    views: list[WantedView],
     camera: Camera,
     config: RefitConfig = RefitConfig(),
     *,
     device: Any = "cpu",
 ) -> Gaussians:
-    """Return ``gaussians`` with those of ``free`` [n] fitted to ``targets`` by colour and depth.
+    """Return ``gaussians`` with those of ``free`` [n] fitted to ``views`` by colour and depth.
 
     The others keep every bit; ids and identities are left alone.
     """
-    if not targets or not free.any():
+    if not views or not free.any():
         return gaussians
     model = GaussianMap(device=device, has_identity=False, capacity=len(gaussians))
     model.append(gaussians)
     renderer = Renderer(model, camera)
-    workspace = allocate_loss(camera.height, camera.width, device=device)
-    losses = wp.zeros(LOSS_COUNT, dtype=float, device=device)
-    rates = wp.array(config.rates.lanes(), dtype=vec16, device=device)
-    uploaded = [
-        (
-            renderer.pose_array(t.T_wc),
-            wp.array(t.rgb, dtype=wp.uint8, device=device),
-            wp.array(t.depth, dtype=float, device=device),
+    optimiser = GaussianOptimiser(
+        model, renderer, rates=config.rates, depth_weight=config.depth_weight, free=free
+    )
+    targets = [
+        _Uploaded(
+            renderer.pose_array(view.T_wc),
+            wp.array(view.rgb, dtype=wp.uint8, device=device),
+            wp.array(view.depth, dtype=float, device=device),
         )
-        for t in targets
+        for view in views
     ]
-    for pose, _, _ in uploaded:
-        renderer.provide(pose)
+    for target in targets:
+        renderer.provide(target.T_cw)
     for iteration in range(config.iterations):
-        pose, rgb, depth = uploaded[iteration % len(uploaded)]
-        renderer.forward(pose)
-        rgbd_loss(
-            renderer.image,
-            rgb,
-            depth,
-            d_image=renderer.d_image,
-            losses=losses,
-            workspace=workspace,
-            depth_weight=config.depth_weight,
-            device=device,
-        )
-        renderer.adjoint(pose)
-        visible = to_host(renderer.tiles.ranks)[: len(gaussians)]
-        held = wp.array(np.where(free, visible, -1).astype(np.int32), dtype=int, device=device)
-        adam_gaussians(
-            model.parameters,
-            renderer.gradients,
-            model.adam_state,
-            rates=rates,
-            ranks=held,
-            device=device,
-        )
+        optimiser.step(targets[iteration % len(targets)])
     fitted = model.to_host()
     return replace(gaussians, **{n: getattr(fitted, n) for n in PARAMETERS if n != "identities"})

@@ -189,6 +189,12 @@ def _gaussians_kernel(
 
 
 @wp.kernel
+def _hold_kernel(ranks: wp.array[wp.int32], free: wp.array[wp.int32], out: wp.array[wp.int32]):
+    i = wp.tid()
+    out[i] = wp.where(free[i] != 0, ranks[i], -1)
+
+
+@wp.kernel
 def _classifier_kernel(
     rate: wp.array[wp.float32],
     d_weights: wp.array[vec16],
@@ -265,6 +271,16 @@ def adam_gaussians(
         device=device,
         min_piece=256,
     )
+
+
+def hold_rows(ranks: Any, *, free: Any, out: Any, device: Any) -> None:
+    """Have :func:`adam_gaussians` leave rows alone: write ``ranks`` with -1 for those that are not ``free``.
+
+    Args:
+        ranks, free, out: [n] int; free: 0 for a row that is held.
+        device: a Warp device.
+    """
+    wp.launch(_hold_kernel, dim=ranks.shape[0], inputs=[ranks, free], outputs=[out], device=device)
 
 
 def adam_classifier(

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,31 +15,24 @@ from ggwarp.geometry.two_views import InverseDepth, Matcher, filled, fuse, grey,
 from ggwarp.types import Float32, Float64, Frame, Rendered
 
 _OPAQUE = 0.95
-
-
-@dataclass(frozen=True)
-class DepthCompletionConfig:
-    """Where monocular keyframes take their depth from."""
-
-    lags: tuple[int, ...] = (1, 2, 4)
-    """Depth is triangulated from the pictures so many frames ago."""
-    tolerance: float = 0.1
-    """Triangulated depth counts where its standard deviation is below this share of it."""
-    contradiction: float = 0.15
-    """It goes before the map's where it differs by more than this share."""
+_LAGS = (1, 2, 4)
+"""Depth is triangulated from the pictures that many frames ago."""
+_TOLERANCE = 0.1
+"""Triangulated depth counts where its standard deviation is below this share of it."""
+_CONTRADICTION = 0.15
+"""Triangulated depth goes before the map's where the two differ by more than this share."""
 
 
 class DepthCompletion:
-    """Guesses the depth of pictures from the map and from the pictures before them."""
+    """Completes the depth of pictures from the map and from the pictures before them."""
 
-    def __init__(self, config: DepthCompletionConfig, camera: Camera) -> None:
+    def __init__(self, camera: Camera) -> None:
         """``camera``: of all the pictures."""
-        self._config = config
         self._camera = camera
         self._matcher = Matcher()
-        self._recent: deque[tuple[NDArray[np.uint8], Float64]] = deque(maxlen=max(config.lags))
+        self._recent: deque[tuple[NDArray[np.uint8], Float64]] = deque(maxlen=max(_LAGS))
 
-    def remember(self, frame: Frame, T_wc: Float64) -> None:
+    def observe(self, frame: Frame, T_wc: Float64) -> None:
         """Take in a picture and its pose [4, 4]: every frame, in order, after its depth was asked for."""
         self._recent.append((grey(frame.rgb), T_wc))
 
@@ -48,23 +41,34 @@ class DepthCompletion:
         here = grey(frame.rgb)
         nothing = np.zeros(here.shape, np.float32)
         estimates = [InverseDepth(nothing, nothing)]
-        for lag in self._config.lags:
+        for lag in _LAGS:
             if lag <= len(self._recent):
                 there, T_there = self._recent[-lag]
                 matches = self._matcher.match(here, there)
                 estimates.append(triangulate(matches, se3.inverse(T_there) @ T_wc, self._camera))
         return fuse(estimates)
 
-    def guess(self, frame: Frame, T_wc: Float64, rendered: Rendered) -> Float32:
+    def complete(self, frame: Frame, T_wc: Float64, rendered: Rendered | None) -> Frame:
+        """Return ``frame`` with depth everywhere, if it has none.
+
+        Args:
+            T_wc: [4, 4] its pose.
+            rendered: the map's view from there; a frame without depth needs it.
+        """
+        if frame.depth is not None:
+            return frame
+        assert rendered is not None
+        return replace(frame, depth=self.estimate(frame, T_wc, rendered))
+
+    def estimate(self, frame: Frame, T_wc: Float64, rendered: Rendered) -> Float32:
         """Return the depth [h, w] of ``frame``, seen from ``T_wc`` [4, 4], metres, everywhere.
 
         Args:
             rendered: the map's view from there.
         """
-        c = self._config
         seen = self.triangulated(frame, T_wc)
-        measured = np.where(seen.known(c.tolerance), seen.depth(), np.float32(0.0))
+        measured = np.where(seen.known(_TOLERANCE), seen.depth(), np.float32(0.0))
         shown = np.where(rendered.opacity > _OPAQUE, rendered.surface_depth, np.float32(0.0))
-        contradicted = (shown > 0.0) & (measured > 0.0) & (np.abs(measured - shown) > c.contradiction * shown)
+        contradicted = (shown > 0.0) & (measured > 0.0) & (np.abs(measured - shown) > _CONTRADICTION * shown)
         depth = np.where((shown > 0.0) & ~contradicted, shown, measured)
         return filled(depth)

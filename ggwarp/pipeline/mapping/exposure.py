@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ggwarp.kernels.photometric.affine_exposure import expose, expose_adjoint, step_exposure
 from ggwarp.kernels.workspaces import allocate_exposure
 from ggwarp.map.renderer import Renderer
-from ggwarp.pipeline.mapping.keyframe import Keyframe
+from ggwarp.pipeline.mapping.keyframe import Keyframe, Keyframes
 from ggwarp.types import Exposure, Float32, Frame, Rendered
 
 _OPAQUE = 0.95
@@ -22,6 +22,8 @@ _SMOOTH = 2.0
 """Pixels: the map is smoother than the picture, which alone would lower the gain."""
 _RIDGE = 1e-3
 _ROUNDS = 3
+_PULL = 0.01
+"""Weight of an exposure's squared size in the loss: keeps the map's brightness from drifting away."""
 
 
 def estimate_exposure(frame: Frame, rendered: Rendered, default: Exposure) -> Exposure:
@@ -68,23 +70,39 @@ def _line(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]
     return solution
 
 
-class Exposing:
-    """Shows a renderer's image in keyframes' exposures, and fits these (MonoGS section 3.3).
+class ExposureModel:
+    """The keyframes' exposures: where they begin, and how they are fitted with the map (MonoGS section 3.3).
+
+    It shows a renderer's image as a keyframe's exposure makes it, and steps the exposure.
 
     Attributes:
         image: [4, Hp, Wp] the render as exposed, with its depth.
     """
 
-    def __init__(self, renderer: Renderer, *, rate: float, pull: float) -> None:
-        """``rate``, ``pull``: see :func:`ggwarp.kernels.photometric.affine_exposure.step_exposure`."""
+    def __init__(self, renderer: Renderer, *, rate: float) -> None:
+        """``rate``: see :func:`ggwarp.kernels.photometric.affine_exposure.step_exposure`."""
         self._renderer = renderer
-        self._rate, self._pull = rate, pull
+        self._rate = rate
         camera = renderer.camera
         self._size = camera.height, camera.width
         self._device = renderer.image.device
         padded = renderer.image.shape[1], renderer.image.shape[2]
         self._workspace = allocate_exposure(*self._size, padded, device=self._device)
         self.image = self._workspace.exposed
+
+    def begin(
+        self, frame: Frame, rendered: Rendered | None, keyframes: Keyframes, tracked: Exposure | None
+    ) -> Exposure:
+        """Return where the exposure of a new keyframe starts; the first one has the map's own.
+
+        Args:
+            rendered: the map's view from the frame's pose; None while the map is empty.
+            keyframes: those before it.
+            tracked: as tracking found it, if it did.
+        """
+        if rendered is None or not keyframes:
+            return Exposure()
+        return tracked or estimate_exposure(frame, rendered, keyframes.exposure(-1))
 
     def show(self, keyframe: Keyframe) -> None:
         """Write :attr:`image`."""
@@ -113,7 +131,7 @@ class Exposing:
         step_exposure(
             keyframe.exposure,
             rate=self._rate,
-            pull=self._pull,
+            pull=_PULL,
             moments=keyframe.exposure_moments,
             steps=keyframe.exposure_steps,
             workspace=self._workspace,

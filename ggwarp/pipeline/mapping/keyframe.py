@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ggwarp.geometry import se3
 from ggwarp.kernels.math import vec6
+from ggwarp.runtime.streams import to_host
 from ggwarp.types import Exposure, Float64, Frame
 
 _NEUTRAL = Exposure()
@@ -78,29 +79,42 @@ def upload(
     )
 
 
+class Keyframes(list[Keyframe]):
+    """All keyframes, numbered in the order in which they came."""
+
+    def pose(self, number: int) -> Float64:
+        """Return the camera-to-world pose [4, 4] of keyframe ``number`` (-1: the newest) as it is now."""
+        return se3.inverse(se3.orthonormalised(to_host(self[number].T_cw)[0].astype(np.float64)))
+
+    def exposure(self, number: int) -> Exposure:
+        """Return the exposure of keyframe ``number`` (-1: the newest) as it is now."""
+        values = to_host(self[number].exposure)[0].tolist()
+        return Exposure(tuple(values[:3]), tuple(values[3:]))
+
+
 POSE = ("T_cw", "pose_moments", "pose_steps")
 """What a step of the pose changes."""
 EXPOSURE = ("exposure", "exposure_moments", "exposure_steps")
 """What a step of the exposure changes."""
 
 
-class Stage:
-    """Room for one keyframe, always at the same place: recorded work reads it there."""
+class KeyframeBuffer:
+    """Holds one keyframe, always in the same arrays: recorded work reads it there."""
 
     def __init__(self) -> None:
         self._arrays: dict[str, Any] = {}
 
     def load(self, keyframe: Keyframe) -> Keyframe:
         """Return ``keyframe`` with its arrays copied here, on the device's current stream."""
-        staged: dict[str, Any] = {}
+        buffered: dict[str, Any] = {}
         for name in (f.name for f in fields(keyframe)):
             array = getattr(keyframe, name)
             if isinstance(array, wp.array):
                 if name not in self._arrays:
                     self._arrays[name] = wp.empty_like(array)
                 wp.copy(self._arrays[name], array)
-                staged[name] = self._arrays[name]
-        return replace(keyframe, **staged)
+                buffered[name] = self._arrays[name]
+        return replace(keyframe, **buffered)
 
     def store(self, keyframe: Keyframe, names: tuple[str, ...]) -> None:
         """Copy the arrays ``names``, which the recorded work changed, back to ``keyframe``."""

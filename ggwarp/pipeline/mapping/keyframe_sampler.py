@@ -7,9 +7,10 @@ from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ggwarp.map.covisibility import Look
-from ggwarp.pipeline.mapping.keyframe_window import WindowConfig, leavers
+from ggwarp.map.covisibility import Look, Seen
+from ggwarp.pipeline.mapping.keyframe_window import WindowConfig, keyframes_that_leave, unconfirmed
 from ggwarp.types import Float64
 
 _PAST = 2
@@ -19,12 +20,25 @@ _PAST = 2
 class KeyframeSampler(Protocol):
     """Chooses keyframes, numbered in the order in which they came."""
 
+    @property
+    def window(self) -> list[int]:
+        """The keyframes that are fitted together, the newest last."""
+        ...
+
     def add(self) -> None:
         """Take in the next keyframe."""
         ...
 
-    def draw(self) -> int:
+    def next(self) -> int:
         """Return the keyframe to fit the map to; there must be one."""
+        ...
+
+    def unconfirmed(self, keyframe_ids: Callable[[], NDArray[np.int32]]) -> Seen | None:
+        """Return [n] which Gaussians too few keyframes see; None: that cannot be told, or is not asked for.
+
+        Args:
+            keyframe_ids: tells the number of the keyframe that brought each Gaussian, [n].
+        """
         ...
 
 
@@ -40,11 +54,18 @@ class RandomSampler:
         self._count += 1
         self._newest_pending = True
 
-    def draw(self) -> int:
+    def next(self) -> int:
         if self._newest_pending:
             self._newest_pending = False
             return self._count - 1
         return int(self._rng.integers(self._count))
+
+    @property
+    def window(self) -> list[int]:
+        return [self._count - 1]
+
+    def unconfirmed(self, keyframe_ids: Callable[[], NDArray[np.int32]]) -> Seen | None:
+        return None
 
 
 class WindowSampler:
@@ -60,29 +81,36 @@ class WindowSampler:
             pose: keyframe -> its camera-to-world [4, 4] as it is now.
         """
         self._rng = rng
-        self.config = config
+        self._config = config
         self._look = look
         self._pose = pose
         self._count = 0
         self._round: list[int] = []
-        self.window: list[int] = []
-
-    def add(self) -> None:
-        self.window.append(self._count)
-        self._count += 1
-        self._round = []
-        for i in reversed(leavers([self._pose(k) for k in self.window], self.config, self._look)):
-            del self.window[i]
+        self._window: list[int] = []
 
     @property
-    def full(self) -> bool:
-        """Whether the window holds as many keyframes as it may."""
-        return len(self.window) >= self.config.size
+    def window(self) -> list[int]:
+        return self._window
 
-    def draw(self) -> int:
+    def add(self) -> None:
+        self._window.append(self._count)
+        self._count += 1
+        self._round = []
+        poses = [self._pose(k) for k in self._window]
+        for i in reversed(keyframes_that_leave(poses, self._config, self._look)):
+            del self._window[i]
+
+    def next(self) -> int:
         if not self._round:
-            past = np.setdiff1d(np.arange(self._count), self.window)
+            past = np.setdiff1d(np.arange(self._count), self._window)
             some = self._rng.choice(past, min(_PAST, len(past)), replace=False)
-            *others, newest = self.window
+            *others, newest = self._window
             self._round = [*self._rng.permutation([*others, *some]).astype(int).tolist(), newest]
         return self._round.pop()
+
+    def unconfirmed(self, keyframe_ids: Callable[[], NDArray[np.int32]]) -> Seen | None:
+        c = self._config
+        if c.confirmations == 0 or len(self._window) < c.size:
+            return None
+        visible = {number: self._look(self._pose(number)).seen for number in self._window}
+        return unconfirmed(keyframe_ids(), visible, c.confirmations)

@@ -19,15 +19,16 @@ class WindowConfig:
     """Which keyframes are fitted together (MonoGS)."""
 
     size: int = 10
-    """Keyframes in the window."""
+    """At most so many keyframes are fitted together."""
     confirmations: int = 0
-    """Gaussians that the keyframes before the newest brought and that fewer others of a full window see are
-    removed; MonoGS without depth: 3."""
+    """A new Gaussian stays when at least that many other keyframes of a full window see it (MonoGS without
+    depth: 3). With 0 all stay."""
     cutoff: float = 0.4
-    """A keyframe leaves the window when it shares no more than this with the newest (overlap coefficient)."""
+    """A keyframe leaves the window when it shares no more than this of its Gaussians with the newest (overlap
+    coefficient)."""
 
 
-def leavers(poses: list[Float64], config: WindowConfig, look: Look) -> list[int]:
+def keyframes_that_leave(poses: list[Float64], config: WindowConfig, look: Look) -> list[int]:
     """Return which keyframes leave the window.
 
     The newest two never do. Of the others, those that share too little with the newest leave; if the window
@@ -48,7 +49,7 @@ def leavers(poses: list[Float64], config: WindowConfig, look: Look) -> list[int]
     return sorted(gone)
 
 
-def unconfirmed(keyframe_ids: NDArray[np.int32], sights: dict[int, Seen], confirmations: int) -> Seen:
+def unconfirmed(keyframe_ids: NDArray[np.int32], visible: dict[int, Seen], confirmations: int) -> Seen:
     """Return [n] which Gaussians too few keyframes confirm, floaters of a guessed depth (MonoGS 3.3.3).
 
     Only those that the keyframes just before the newest one brought are looked at: older ones passed, and the
@@ -56,11 +57,11 @@ def unconfirmed(keyframe_ids: NDArray[np.int32], sights: dict[int, Seen], confir
 
     Args:
         keyframe_ids: [n] number of the keyframe that brought each Gaussian.
-        sights: keyframe of the window -> what it sees, [n].
+        visible: keyframe of the window -> what it sees, [n].
         confirmations: keyframes other than its own that must see a Gaussian.
     """
-    recent = sorted(sights)[-1 - _RECENT : -1]
-    others = np.sum([seen & (keyframe_ids != number) for number, seen in sights.items()], axis=0)
+    recent = sorted(visible)[-1 - _RECENT : -1]
+    others = np.sum([seen & (keyframe_ids != number) for number, seen in visible.items()], axis=0)
     return np.isin(keyframe_ids, recent) & (others < confirmations)
 
 

@@ -4,71 +4,63 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import warp as wp
 
-from ggwarp.geometry import se3
 from ggwarp.kernels.losses.isotropy import pull_round
-from ggwarp.kernels.losses.rgbd import DEPTH, DSSIM, L1, LOSS_COUNT, OBJECT, OBJECT_3D, add_total, rgbd_loss
-from ggwarp.kernels.math import vec16
-from ggwarp.kernels.optim.adam import AdamRates, adam_gaussians
+from ggwarp.kernels.losses.rgbd import LOSS_COUNT, OBJECT, OBJECT_3D, add_total
+from ggwarp.kernels.optim.adam import AdamRates
 from ggwarp.kernels.optim.compact import count_low_weight, flag_kept
 from ggwarp.kernels.optim.pose_adam import step_pose
-from ggwarp.kernels.workspaces import allocate_loss
 from ggwarp.map.gaussian_map import GaussianMap
+from ggwarp.map.gaussian_optimiser import GaussianOptimiser
 from ggwarp.map.renderer import Renderer
 from ggwarp.objects.classifier import Classifier, ClassifierConfig
-from ggwarp.pipeline.mapping.densification import DensifyConfig, densify_gaussians
-from ggwarp.pipeline.mapping.exposure import Exposing
-from ggwarp.pipeline.mapping.keyframe import EXPOSURE, POSE, Keyframe, Stage
+from ggwarp.pipeline.mapping.densification import DensifyConfig, densify_gaussians, densify_is_due
+from ggwarp.pipeline.mapping.exposure import ExposureModel
+from ggwarp.pipeline.mapping.keyframe import EXPOSURE, POSE, Keyframe, KeyframeBuffer, Keyframes
 from ggwarp.pipeline.mapping.keyframe_sampler import KeyframeSampler
 from ggwarp.runtime.graphs import GraphCache
 from ggwarp.runtime.streams import Backlog, to_host
-from ggwarp.types import Exposure, Float64
 
-_RATES = AdamRates(means=2e-4, quats=2e-2, log_scales=2.5e-2, opacity=0.2, colours=1e-2, identities=2.5e-2)
+RATES = AdamRates(means=2e-4, quats=2e-2, log_scales=2.5e-2, opacity=0.2, colours=1e-2, identities=2.5e-2)
+"""Adam's: larger than GS-ICP-SLAM's, as each Gaussian gets tens of steps here, not thousands."""
+MONOCULAR_RATES = replace(RATES, means=3e-4)
+"""Gaussians of guessed depth have farther to go."""
+_PRUNE_INTERVAL = 200
+"""Iterations from one pruning to the next."""
+_PRUNE_OPACITY = 0.005
+"""Gaussians less opaque than this are pruned."""
+_PRUNE_SCALE = 0.25
+"""Gaussians with a larger standard deviation than this are pruned, metres."""
+_LOW_WEIGHT = 0.05
+"""A Gaussian that makes up fewer pixels of a view than this has a low weight there."""
 
 
 @dataclass(frozen=True)
 class OptimiserConfig:
     """What the map is fitted to, and how fast."""
 
-    colour_weight: float = 1.0
-    """l_rgb of the loss (GG-SLAM eq. 5)."""
-    dssim: float = 0.2
-    """Share of 1 - SSIM in the colour loss (eq. 6)."""
     depth_weight: float = 4.0
-    """l_d of the loss; the paper's 0.1 leaves surfaces free to drift along the view for colour's sake."""
-    depth_max: float = 10.0
-    """Depth unit of eq. 7, metres."""
+    """Weight of the depth error in the loss (l_d of GG-SLAM eq. 5). The paper's 0.1 leaves surfaces free to
+    drift along the view for colour's sake."""
     isotropic_weight: float = 0.0
-    """Pull towards round Gaussians: loss by a pixel's share of each, per metre that its axes differ (MonoGS
-    eq. 10 has 10, by each Gaussian's share); not in the reported loss."""
-    rates: AdamRates = _RATES
-    """Adam's learning rates: larger than GS-ICP-SLAM's, as each Gaussian gets tens of steps here, not
-    thousands."""
+    """Pull towards round Gaussians: a Gaussian adds this to the loss for every metre that its axes differ,
+    times its share of a pixel (MonoGS eq. 10 has 10, by each Gaussian's share). It is not in the reported
+    loss."""
     rate_decay: float = 100.0
-    """A Gaussian's rates fall by 1 / sqrt(1 + t / this) over its steps t, so that it settles between views
-    that disagree a little, as a real camera's do; 0: rates stay, as they must where poses still move."""
+    """A Gaussian's learning rates fall by 1 / sqrt(1 + t / rate_decay) over its steps t, so that it settles
+    between views that disagree a little, as a real camera's do. With 0 they stay, as they must where poses
+    still move."""
     pose_rates: tuple[float, float] = (0.0, 0.0)
-    """Adam's learning rates of the keyframes' poses, metres and radians; 0: poses stay as tracked."""
+    """Adam's learning rates of the keyframes' poses, metres and radians. With 0 poses stay as tracked."""
     exposure_rate: float = 0.0
-    """Adam's learning rate of the keyframes' exposures; 0: pictures are taken as they are."""
-    exposure_pull: float = 0.01
-    """Weight of an exposure's squared size in the loss: keeps the map's brightness from drifting away."""
-    prune_interval: int = 200
-    """Prune every so many iterations."""
-    prune_opacity: float = 0.005
-    """Gaussians less opaque than this are pruned."""
-    prune_scale: float = 0.25
-    """Gaussians with a larger standard deviation than this are pruned, metres."""
-    prune_idle: int = 20
-    """Gaussians that made up next to nothing of each of the last so many views that could show them are
-    pruned, as they are hidden; 0: they stay."""
-    prune_weight: float = 0.05
-    """Fewer pixels of a view than this are next to nothing."""
+    """Adam's learning rate of the keyframes' exposures. With 0 pictures are taken as they are."""
+    prune_low_weight: int = 20
+    """A Gaussian is pruned, as it is hidden, when it makes up next to nothing of that many views in a row
+    that could show it. With 0 it stays."""
     densify: DensifyConfig = field(default_factory=DensifyConfig)
     classifier: ClassifierConfig = field(default_factory=ClassifierConfig)
 
@@ -77,7 +69,6 @@ class MapOptimiser:
     """Fits a map to keyframes; the map's writer calls it.
 
     Attributes:
-        keyframes: on the device, in the order in which they came.
         iterations: so far.
     """
 
@@ -87,78 +78,82 @@ class MapOptimiser:
         gaussians: GaussianMap,
         renderer: Renderer,
         classifier: Classifier | None,
-        drawing: KeyframeSampler,
+        keyframes: Keyframes,
+        sampler: KeyframeSampler,
         *,
+        exposures: ExposureModel | None = None,
+        rates: AdamRates = RATES,
         recorded: bool | None = None,
     ) -> None:
         """Prepare to fit ``gaussians`` to keyframes of the renderer's camera.
 
         Args:
-            drawing: which keyframe an iteration is spent on.
-            recorded: see :class:`ggwarp.pipeline.mapping.mapper.Mapper`.
+            keyframes: what to fit to; :meth:`add` adds to them.
+            sampler: which keyframe an iteration is spent on.
+            exposures: fits the keyframes' exposures; None: they stay.
+            rates: Adam's learning rates of the Gaussians.
+            recorded: record iterations as graphs and replay them; the default does on CUDA alone: on the CPU
+                a recording runs on one thread. The map is the same to the bit.
         """
         self._config = config
         self._map = gaussians
         self._device = gaussians.device
         self._renderer = renderer
         self._classifier = classifier
-        self._sampler = drawing
-        camera = renderer.camera
-        self._workspace = allocate_loss(camera.height, camera.width, device=self._device)
-        self._exposing = (
-            Exposing(renderer, rate=config.exposure_rate, pull=config.exposure_pull)
-            if config.exposure_rate > 0.0
-            else None
+        self._keyframes = keyframes
+        self._sampler = sampler
+        self._gaussians = GaussianOptimiser(
+            gaussians,
+            renderer,
+            rates=rates,
+            depth_weight=config.depth_weight,
+            rate_decay=config.rate_decay,
         )
-        self._losses = wp.zeros(LOSS_COUNT, dtype=float, device=self._device)
-        self._loss_weights = wp.array(_loss_weights(config), dtype=float, device=self._device)
+        self._exposures = exposures
+        weights = self._gaussians.loss_weights | {
+            OBJECT: config.classifier.weight,
+            OBJECT_3D: config.classifier.weight_3d,
+        }
+        self._loss_weights = wp.array(
+            [weights.get(entry, 0.0) for entry in range(LOSS_COUNT)], dtype=float, device=self._device
+        )
         self._totals = wp.zeros(2, dtype=wp.float64, device=self._device)
         self._backlog = Backlog(self._device)
         self._recorded = self._device.is_cuda if recorded is None else recorded
-        self._graphs, self._stage = GraphCache(self._device), Stage()
-        self._rates = wp.array(config.rates.lanes(), dtype=vec16, device=self._device)
+        self._graphs, self._buffer = GraphCache(self._device), KeyframeBuffer()
         self.iterations = 0
-        self.keyframes: list[Keyframe] = []
 
     def add(self, keyframe: Keyframe) -> None:
         """Fit the map to ``keyframe``, too."""
-        self.keyframes.append(keyframe)
+        self._keyframes.append(keyframe)
         self._sampler.add()
         if self._recorded:
             self._renderer.provide(keyframe.T_cw)
 
-    def pose(self, number: int) -> Float64:
-        """Return the camera-to-world pose [4, 4] of keyframe ``number`` as it is now."""
-        return se3.inverse(se3.orthonormalised(to_host(self.keyframes[number].T_cw)[0].astype(np.float64)))
-
-    def exposure(self, number: int) -> Exposure:
-        """Return the exposure of keyframe ``number`` as it is now."""
-        values = to_host(self.keyframes[number].exposure)[0].tolist()
-        return Exposure(tuple(values[:3]), tuple(values[3:]))
-
     def iterate(self) -> None:
         """Fit the map to one keyframe once; on CUDA, queue it: the host reads nothing."""
-        number = self._sampler.draw()
-        keyframe = self.keyframes[number]
+        number = self._sampler.next()
+        keyframe = self._keyframes[number]
         with_3d = self._classifier is not None and self._classifier.begin_3d(self.iterations)
         # The first keyframe holds the world in place, and its brightness.
         with_pose = number > 0 and any(self._config.pose_rates)
-        with_exposure = number > 0 and self._config.exposure_rate > 0.0
+        with_exposure = number > 0 and self._exposures is not None
         change = (POSE if with_pose else ()) + (EXPOSURE if with_exposure else ())
         if self._recorded:
-            staged = self._stage.load(keyframe)
-            variant = (staged.has_depth, staged.labels is not None, with_3d, change)
-            self._graphs.run(variant, lambda: self._fit(staged, with_3d, change), arrays=self._allocation)
-            self._stage.store(keyframe, change)
+            buffered = self._buffer.load(keyframe)
+            variant = (buffered.has_depth, buffered.labels is not None, with_3d, change)
+            self._graphs.run(variant, lambda: self._fit(buffered, with_3d, change), arrays=self._allocation)
+            self._buffer.store(keyframe, change)
         else:
             self._fit(keyframe, with_3d, change)
         self._backlog.added()
         self.iterations += 1
-        if self.iterations % self._config.prune_interval == 0:
+        if self.iterations % _PRUNE_INTERVAL == 0:
             self._prune()
-        d = self._config.densify
-        if d.interval > 0 and self.iterations > d.offset and (self.iterations - d.offset) % d.interval == 0:
-            densify_gaussians(self._map, d, np.random.default_rng((5, self.iterations)))
+        densify = self._config.densify
+        if densify_is_due(densify, self.iterations):
+            rng = np.random.default_rng((5, self.iterations))
+            densify_gaussians(self._map, rng, threshold=densify.threshold)
             self._renderer.make_room()
 
     def synchronise(self) -> float:
@@ -179,45 +174,35 @@ class MapOptimiser:
         with_pose = "T_cw" in change
         sample = None if self._classifier is None else self._classifier.draw_sample(keyframe.labels)
         self._renderer.forward(keyframe.T_cw, sample=sample)
-        if self._exposing is not None and "exposure" in change:
-            self._exposing.show(keyframe)
-            self._evaluate(keyframe, self._exposing.image)
-            self._exposing.step(keyframe)
-        else:
-            self._evaluate(keyframe, self._renderer.image)
+        self._compare(keyframe, with_exposure="exposure" in change)
         self._renderer.adjoint(
             keyframe.T_cw, pose=with_pose, mean2d_gradient_norms=self._config.densify.interval > 0
         )
         if self._classifier is not None and with_3d:
-            self._classifier.evaluate_3d(self._renderer, self._losses)
+            self._classifier.evaluate_3d(self._renderer, self._gaussians.losses)
         if self._config.isotropic_weight > 0.0:
             self._pull_round()
-        if self._config.prune_idle > 0:
-            self._count_idle()
-        self._step()
+        if self._config.prune_low_weight > 0:
+            self._count_low_weight()
+        self._gaussians.update()
+        if self._classifier is not None:
+            self._classifier.step()
         if with_pose:
             self._step_pose(keyframe)
-        add_total(self._losses, weights=self._loss_weights, totals=self._totals, device=self._device)
-
-    def _evaluate(self, keyframe: Keyframe, image: wp.array) -> None:
-        """Write the loss and its gradient by ``image``, the render as exposed (GG-SLAM eq. 5)."""
-        c = self._config
-        rgbd_loss(
-            image,
-            keyframe.colour,
-            keyframe.depth,
-            d_image=self._renderer.d_image,
-            losses=self._losses,
-            workspace=self._workspace,
-            colour_weight=c.colour_weight,
-            dssim=c.dssim,
-            depth_weight=c.depth_weight,
-            d_max=c.depth_max,
-            mask_colour=keyframe.has_depth,
-            device=self._device,
+        add_total(
+            self._gaussians.losses, weights=self._loss_weights, totals=self._totals, device=self._device
         )
+
+    def _compare(self, keyframe: Keyframe, *, with_exposure: bool) -> None:
+        """Write the losses and their gradient by the render, and step the keyframe's exposure."""
+        exposures = self._exposures if with_exposure else None
+        if exposures is not None:
+            exposures.show(keyframe)
+        self._gaussians.compare(keyframe, self._renderer.image if exposures is None else exposures.image)
         if self._classifier is not None:
-            self._classifier.evaluate(self._renderer, keyframe.labels, self._losses)
+            self._classifier.evaluate(self._renderer, keyframe.labels, self._gaussians.losses)
+        if exposures is not None:
+            exposures.step(keyframe)
 
     def _pull_round(self) -> None:
         camera, rows = self._renderer.camera, self._renderer.rows
@@ -229,24 +214,11 @@ class MapOptimiser:
             device=self._device,
         )
 
-    def _step(self) -> None:
-        adam_gaussians(
-            self._map.parameters,
-            self._renderer.gradients,
-            self._map.adam_state,
-            rates=self._rates,
-            ranks=self._renderer.ranks,
-            device=self._device,
-            decay=self._config.rate_decay,
-        )
-        if self._classifier is not None:
-            self._classifier.step()
-
-    def _count_idle(self) -> None:
+    def _count_low_weight(self) -> None:
         count_low_weight(
             self._renderer.weights,
             ranks=self._renderer.ranks,
-            least_weight=self._config.prune_weight,
+            least_weight=_LOW_WEIGHT,
             low_weight_counts=self._map.fields["low_weight_counts"],
             device=self._device,
         )
@@ -263,26 +235,16 @@ class MapOptimiser:
 
     def _prune(self) -> None:
         flags = wp.empty(self._map.count, dtype=int, device=self._device)
+        most = self._config.prune_low_weight
         flag_kept(
             self._map.parameters,
             flags=flags,
-            min_opacity=self._config.prune_opacity,
-            max_scale=self._config.prune_scale,
-            low_weight_counts=self._map.fields["low_weight_counts"] if self._config.prune_idle > 0 else None,
-            most_low_weight_counts=self._config.prune_idle,
+            min_opacity=_PRUNE_OPACITY,
+            max_scale=_PRUNE_SCALE,
+            low_weight_counts=self._map.fields["low_weight_counts"] if most > 0 else None,
+            most_low_weight_counts=most,
             device=self._device,
         )
         self._map.keep(flags)
-        # A refinement goes on for long without settling.
+        # A refinement goes on for long without waiting for the device.
         self._renderer.make_room()
-
-
-def _loss_weights(config: OptimiserConfig) -> list[float]:
-    """Return the weight of each entry of the losses in the total (GG-SLAM eq. 5)."""
-    weights = [0.0] * LOSS_COUNT
-    weights[L1] = config.colour_weight * (1.0 - config.dssim)
-    weights[DSSIM] = config.colour_weight * config.dssim
-    weights[DEPTH] = config.depth_weight
-    weights[OBJECT] = config.classifier.weight
-    weights[OBJECT_3D] = config.classifier.weight_3d
-    return weights

@@ -22,33 +22,34 @@ from ggwarp.types import Exposure, Float32, Float64, Frame, Rendered
 
 _NEUTRAL = Exposure()
 
+_DETAIL_GAIN = 6.0
+"""Density added per unit of local colour contrast (0..1)."""
+_RESIDUAL_THRESHOLD = 0.06
+"""On surface that the map shows, more are added where the mean absolute colour error is above this."""
+_RESIDUAL_GAIN = 1.5
+"""Density added per unit of colour error above the threshold."""
+_DEPTH_TOLERANCE = 0.03
+"""A surface is new when it is closer than the rendered depth by more than this share of it."""
+_SPACING = 0.5
+"""Standard deviation of a Gaussian in units of the distance to its neighbours."""
+_FLATNESS = 0.2
+"""Standard deviation along the surface normal, relative to the tangential one."""
+_MAX_STRETCH = 3.0
+"""A Gaussian on a grazing surface is stretched by 1/cos, at most by this."""
+_OPACITY = 0.7
+
 
 @dataclass(frozen=True)
 class SeedingConfig:
     """How densely Gaussians are laid, and what they start as."""
 
     min_density: float = 0.3
-    """Gaussians a pixel on new, untextured surface."""
+    """Gaussians a pixel on new surface without texture."""
     max_density: float = 0.7
-    """Gaussians a pixel on new, finely textured surface."""
-    detail_gain: float = 6.0
-    """Density added per unit of local colour contrast (0..1)."""
-    residual_threshold: float = 0.06
-    """On surface the map already shows, mean absolute colour error above which more are added."""
-    residual_gain: float = 1.5
-    """Density added per unit of colour error above the threshold."""
-    spacing: float = 0.5
-    """Standard deviation of a Gaussian in units of the distance to its neighbours."""
-    flatness: float = 0.2
-    """Standard deviation along the surface normal, relative to the tangential one."""
-    max_stretch: float = 3.0
-    """A Gaussian on a grazing surface is stretched by 1/cos, at most so much."""
-    opacity: float = 0.7
-    """Initial opacity."""
-    depth_tolerance: float = 0.03
-    """New surface: closer than the rendered depth by more than this share of it."""
+    """Gaussians a pixel on new surface with fine texture."""
     identity_noise: float = 0.1
-    """Spread of initial identities round their object's code; 1: random, as in GG-SLAM eq. (2)."""
+    """Spread of initial identities round their object's code. With 1 they are random, as in GG-SLAM
+    eq. (2)."""
 
 
 def seed_density(
@@ -65,14 +66,14 @@ def seed_density(
     colour = exposure.undo_exposure(frame.rgb)
     smooth = cv2.GaussianBlur(colour, (0, 0), 1.0)
     contrast = cv2.blur(np.abs(colour - smooth).mean(axis=2), (3, 3))
-    fresh = np.clip(config.min_density + config.detail_gain * contrast, 0.0, config.max_density)
+    fresh = np.clip(config.min_density + _DETAIL_GAIN * contrast, 0.0, config.max_density)
     if rendered is None:
         density = fresh
     else:
-        in_front = (rendered.median_depth - frame.depth) > config.depth_tolerance * rendered.median_depth
+        in_front = (rendered.median_depth - frame.depth) > _DEPTH_TOLERANCE * rendered.median_depth
         is_new = (rendered.opacity < 0.5) | in_front
         residual = cv2.blur(np.abs(rendered.rgb - colour).mean(axis=2), (3, 3))
-        more = np.clip(config.residual_gain * (residual - config.residual_threshold), 0.0, config.max_density)
+        more = np.clip(_RESIDUAL_GAIN * (residual - _RESIDUAL_THRESHOLD), 0.0, config.max_density)
         density = np.where(is_new, fresh, more)
     return np.where(frame.depth > 0.0, density, 0.0).astype(np.float32)
 
@@ -118,6 +119,7 @@ def seed_gaussians(
     rng: np.random.Generator,
     exposure: Exposure = _NEUTRAL,
     keyframe_id: int = 0,
+    flat: bool = True,
 ) -> Gaussians:
     """Return the Gaussians that ``frame`` adds at ``density`` (GG-SLAM 2.3, c).
 
@@ -129,6 +131,7 @@ def seed_gaussians(
         rng: draws the identities.
         exposure: of the frame's picture.
         keyframe_id: number of the keyframe.
+        flat: they are discs on the surface; else they are round, as where normals are not known.
     """
     assert frame.depth is not None
     rows, cols = choose_pixels(density, frame.index)
@@ -140,16 +143,17 @@ def seed_gaussians(
     normals[unknown] = towards[unknown]
 
     axes, cosine = _surface_axes(normals, towards)
-    spread = config.spacing / np.sqrt(density[rows, cols]) * z / camera.fx
-    stretch = np.minimum(1.0 / np.maximum(cosine, 1e-3), config.max_stretch)
-    scales = np.stack([spread * stretch, spread, spread * config.flatness], axis=1)
+    spread = _SPACING / np.sqrt(density[rows, cols]) * z / camera.fx
+    flatness, max_stretch = (_FLATNESS, _MAX_STRETCH) if flat else (1.0, 1.0)
+    stretch = np.minimum(1.0 / np.maximum(cosine, 1e-3), max_stretch)
+    scales = np.stack([spread * stretch, spread, spread * flatness], axis=1)
     R, t = T_wc[:3, :3], T_wc[:3, 3]
     count = len(z)
     return Gaussians(
         means=(points @ R.T + t).astype(np.float32),
         quats=quats_from_matrices(R @ axes),
         log_scales=np.log(np.maximum(scales, 1e-5)).astype(np.float32),
-        opacity_logits=np.full(count, np.log(config.opacity / (1.0 - config.opacity)), np.float32),
+        opacity_logits=np.full(count, np.log(_OPACITY / (1.0 - _OPACITY)), np.float32),
         colours=((exposure.undo_exposure(frame.rgb[rows, cols]) - 0.5) / SH_C0).astype(np.float32),
         identities=None if identities is None else _identities(identities, rows, cols, config, rng),
         keyframe_ids=np.full(count, keyframe_id, np.int32),

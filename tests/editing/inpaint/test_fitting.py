@@ -2,7 +2,7 @@
 import numpy as np
 
 from ggwarp.editing.edits import recolour
-from ggwarp.editing.inpaint.fitting import RefitConfig, Target, fit
+from ggwarp.editing.inpaint.fitting import RefitConfig, WantedView, fit
 from ggwarp.editing.map_view import MapView
 from ggwarp.kernels.optim.adam import AdamRates
 from ggwarp.results.saved_run import load_run
@@ -16,7 +16,7 @@ def test_free_gaussians_learn_and_held_ones_keep_every_bit(run_folder, device):
     targets = []
     for T_wc in run.poses[1:4]:
         seen = wanted.render(T_wc)
-        targets.append(Target(T_wc, np.rint(255 * seen.rgb).astype(np.uint8), seen.surface_depth))
+        targets.append(WantedView(T_wc, np.rint(255 * seen.rgb).astype(np.uint8), seen.surface_depth))
 
     def error(gaussians):
         view = MapView(gaussians, run.camera, device=device)
@@ -40,5 +40,5 @@ def test_nothing_to_fit(run_folder):
     run = load_run(run_folder)
     none = np.zeros(len(run.gaussians), bool)
     assert fit(run.gaussians, ~none, [], run.camera) is run.gaussians
-    target = Target(np.eye(4), np.zeros((64, 96, 3), np.uint8), np.ones((64, 96), np.float32))
+    target = WantedView(np.eye(4), np.zeros((64, 96, 3), np.uint8), np.ones((64, 96), np.float32))
     assert fit(run.gaussians, none, [target], run.camera) is run.gaussians

@@ -14,11 +14,12 @@ from ggwarp.geometry import se3
 from ggwarp.kernels.optim.adam import OPACITY_LANE
 from ggwarp.map.gaussian_map import PARAMETERS, GaussianMap
 from ggwarp.map.gaussians import Gaussians
+from ggwarp.pipeline.mapping import densification
 from ggwarp.pipeline.mapping.build import build_mapper
 from ggwarp.pipeline.mapping.densification import DensifyConfig, densify_gaussians, lower_opacities
 from ggwarp.pipeline.mapping.mapper import MapperConfig
 
-CONFIG = DensifyConfig(interval=1, threshold=0.5, split_scale=0.1)
+THRESHOLD = 0.5
 
 
 def made(device: str, rng: np.random.Generator, count: int) -> GaussianMap:
@@ -45,7 +46,10 @@ def assign(gaussians: GaussianMap, name: str, values: np.ndarray) -> None:
     gaussians.fields[name].assign(whole)
 
 
-def test_small_ones_are_doubled_and_large_ones_split(device: str, rng: np.random.Generator) -> None:
+def test_small_ones_are_doubled_and_large_ones_split(
+    device: str, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(densification, "_SPLIT_SCALE", 0.1)
     gaussians = made(device, rng, 5)
     large = gaussians.to_host().log_scales
     large[3] = np.log([0.3, 1e-6, 1e-6])
@@ -55,7 +59,7 @@ def test_small_ones_are_doubled_and_large_ones_split(device: str, rng: np.random
     assign(gaussians, "mean2d_gradient_counts", np.int32([10, 10, 0, 2, 1]))
     before = gaussians.to_host().arrays()
 
-    assert densify_gaussians(gaussians, CONFIG, rng) == 2
+    assert densify_gaussians(gaussians, rng, threshold=THRESHOLD) == 2
 
     after = gaussians.to_host().arrays()
     assert gaussians.count == 5 + 1 + 1
@@ -80,12 +84,12 @@ def test_small_ones_are_doubled_and_large_ones_split(device: str, rng: np.random
 
 
 @pytest.mark.parametrize("count", [0, 1, 20])
-def test_without_pulls_nothing_changes(count: int, device: str, rng: np.random.Generator) -> None:
+def test_without_gradients_nothing_changes(count: int, device: str, rng: np.random.Generator) -> None:
     gaussians = made(device, rng, count)
     version = gaussians.version
-    assert densify_gaussians(gaussians, CONFIG, rng) == 0 and gaussians.version == version
+    assert densify_gaussians(gaussians, rng, threshold=THRESHOLD) == 0 and gaussians.version == version
     assign(gaussians, "mean2d_gradient_norms", np.full(count, np.nan, np.float32))
-    assert densify_gaussians(gaussians, CONFIG, rng) == 0, "NaN pulls at nothing"
+    assert densify_gaussians(gaussians, rng, threshold=THRESHOLD) == 0, "NaN pulls at nothing"
 
 
 def test_unseen_opacities_are_lowered_and_forget_their_moments(device: str, rng: np.random.Generator) -> None:
@@ -104,13 +108,15 @@ def test_unseen_opacities_are_lowered_and_forget_their_moments(device: str, rng:
         assert (np.delete(moments, OPACITY_LANE, axis=1) == 1.0).all()
 
 
-def test_a_mapper_multiplies_what_it_cannot_fit(device: str) -> None:
+def test_a_mapper_densifies_what_it_cannot_fit(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(densification, "_OFFSET", 5)
+    monkeypatch.setattr(densification, "_SPLIT_SCALE", 0.05)
     office = SyntheticOffice(scale=0.1)
     frame = office[0]
     assert frame.T_wc is not None
     maps: list[dict[str, np.ndarray]] = []
     for interval in (0, 10, 10):
-        densify = DensifyConfig(interval=interval, offset=5, threshold=1e-4, split_scale=0.05)
+        densify = DensifyConfig(interval=interval, threshold=1e-4)
         config = MapperConfig(densify=densify)
         mapper = build_mapper(config, office.camera, device=device, use_identity=False)
         mapper.insert(frame, frame.T_wc)

@@ -8,7 +8,7 @@ import pytest
 
 from ggwarp.datasets.built_in.synthetic import SyntheticOffice
 from ggwarp.geometry.two_views import filled
-from ggwarp.pipeline.mapping.depth_completion import DepthCompletion, DepthCompletionConfig
+from ggwarp.pipeline.mapping.depth_completion import DepthCompletion
 from ggwarp.types import Frame, Rendered
 
 OFFICE = SyntheticOffice(scale=0.2)
@@ -28,26 +28,26 @@ def view(frame: Frame, share: float, wrong: float = 1.0) -> Rendered:
     return Rendered((frame.rgb / 255.0).astype(np.float32), depth, depth, opacity)
 
 
-def guesser(frames: list[Frame]) -> DepthCompletion:
-    out = DepthCompletion(DepthCompletionConfig(), OFFICE.camera)
+def completion(frames: list[Frame]) -> DepthCompletion:
+    out = DepthCompletion(OFFICE.camera)
     for frame in frames:
         assert frame.T_wc is not None
-        out.remember(dataclasses.replace(frame, depth=None, T_wc=None), frame.T_wc)
+        out.observe(dataclasses.replace(frame, depth=None, T_wc=None), frame.T_wc)
     return out
 
 
-def error(guess: np.ndarray, frame: Frame) -> np.ndarray:
+def error(estimate: np.ndarray, frame: Frame) -> np.ndarray:
     assert frame.depth is not None
-    return np.abs(guess / frame.depth - 1.0)
+    return np.abs(estimate / frame.depth - 1.0)
 
 
 def test_the_map_s_own_depth_where_there_is_a_map_and_the_motion_s_elsewhere(frames: list[Frame]) -> None:
     newest = frames[5]
     assert newest.T_wc is not None
-    guess = guesser(frames[:5]).guess(newest, newest.T_wc, view(newest, 0.5))
-    half = guess.shape[1] // 2
-    off = error(guess, newest)
-    assert (guess > 0.0).all()
+    estimate = completion(frames[:5]).estimate(newest, newest.T_wc, view(newest, 0.5))
+    half = estimate.shape[1] // 2
+    off = error(estimate, newest)
+    assert (estimate > 0.0).all()
     assert np.median(off[:, :half]) < 1e-6
     assert np.median(off[:, half:]) < 0.06
 
@@ -56,9 +56,9 @@ def test_motion_contradicts_a_wrong_map(frames: list[Frame]) -> None:
     newest = frames[5]
     assert newest.T_wc is not None
     wrong = view(newest, 1.0, wrong=1.6)
-    alone = error(guesser([]).guess(newest, newest.T_wc, wrong), newest)
+    alone = error(completion([]).estimate(newest, newest.T_wc, wrong), newest)
     np.testing.assert_allclose(np.median(alone), 0.6, atol=1e-6)
-    moved = error(guesser(frames[:5]).guess(newest, newest.T_wc, wrong), newest)
+    moved = error(completion(frames[:5]).estimate(newest, newest.T_wc, wrong), newest)
     assert np.median(moved) < 0.1
 
 

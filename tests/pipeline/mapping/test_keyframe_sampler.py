@@ -10,16 +10,16 @@ from ggwarp.types import Float64
 
 
 def test_the_newest_comes_first_and_once(rng: np.random.Generator) -> None:
-    drawing = RandomSampler(rng)
+    sampler = RandomSampler(rng)
     for _ in range(50):
-        drawing.add()
-    assert drawing.draw() == 49
-    drawing.add()
-    assert drawing.draw() == 50
-    assert Counter(drawing.draw() for _ in range(200)).most_common(1)[0][1] < 30
+        sampler.add()
+    assert sampler.next() == 49
+    sampler.add()
+    assert sampler.next() == 50
+    assert Counter(sampler.next() for _ in range(200)).most_common(1)[0][1] < 30
 
 
-def drawing_along_a_corridor(rng: np.random.Generator, steps: int) -> WindowSampler:
+def sampler_along_a_corridor(rng: np.random.Generator, steps: int) -> WindowSampler:
     """A keyframe each 0.2 m; views reach one metre, so that three metres back nothing is shared."""
 
     def look(T_wc: Float64) -> Visibility:
@@ -31,33 +31,33 @@ def drawing_along_a_corridor(rng: np.random.Generator, steps: int) -> WindowSamp
         T[0, 3] = 0.2 * k
         return T
 
-    drawing = WindowSampler(rng, WindowConfig(size=4, cutoff=0.4), look, pose)
+    sampler = WindowSampler(rng, WindowConfig(size=4, cutoff=0.4), look, pose)
     for _ in range(steps):
-        drawing.add()
-    return drawing
+        sampler.add()
+    return sampler
 
 
 def test_a_round_is_the_window_and_two_of_the_past(rng: np.random.Generator) -> None:
-    drawing = drawing_along_a_corridor(rng, 20)
-    assert drawing.window[-2:] == [18, 19]
-    assert len(drawing.window) <= 4 and min(drawing.window) >= 16
-    size = len(drawing.window) + 2
+    sampler = sampler_along_a_corridor(rng, 20)
+    assert sampler.window[-2:] == [18, 19]
+    assert len(sampler.window) <= 4 and min(sampler.window) >= 16
+    size = len(sampler.window) + 2
     past = set()
     for _ in range(20):
-        drawn = [drawing.draw() for _ in range(size)]
+        drawn = [sampler.next() for _ in range(size)]
         assert drawn[0] == 19
-        assert len(set(drawn)) == size and set(drawing.window) <= set(drawn)
-        past |= set(drawn) - set(drawing.window)
+        assert len(set(drawn)) == size and set(sampler.window) <= set(drawn)
+        past |= set(drawn) - set(sampler.window)
     assert len(past) > 10, "all of the past has its turn"
 
 
 def test_the_first_keyframe_is_all_there_is(rng: np.random.Generator) -> None:
-    drawing = drawing_along_a_corridor(rng, 1)
-    assert [drawing.draw() for _ in range(3)] == [0, 0, 0]
+    sampler = sampler_along_a_corridor(rng, 1)
+    assert [sampler.next() for _ in range(3)] == [0, 0, 0]
 
 
 def test_a_new_keyframe_starts_a_new_round(rng: np.random.Generator) -> None:
-    drawing = drawing_along_a_corridor(rng, 2)
-    drawing.draw()
-    drawing.add()
-    assert sorted(drawing.draw() for _ in range(3)) == [0, 1, 2]
+    sampler = sampler_along_a_corridor(rng, 2)
+    sampler.next()
+    sampler.add()
+    assert sorted(sampler.next() for _ in range(3)) == [0, 1, 2]

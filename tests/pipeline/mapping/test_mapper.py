@@ -7,6 +7,7 @@ import pytest
 from ggwarp.datasets.built_in.synthetic import SyntheticOffice
 from ggwarp.geometry import se3
 from ggwarp.map.gaussian_map import GaussianMap
+from ggwarp.pipeline.mapping import optimiser
 from ggwarp.pipeline.mapping.build import build_mapper
 from ggwarp.pipeline.mapping.keyframe_window import WindowConfig
 from ggwarp.pipeline.mapping.mapper import Mapper, MapperConfig
@@ -81,8 +82,11 @@ def test_a_keyframe_seen_twice_adds_little(device: str, frame: Frame) -> None:
     assert mapper.map.count < 1.3 * first
 
 
-def test_transparent_and_huge_gaussians_are_pruned(device: str, frame: Frame) -> None:
-    mapper = made(device, MapperConfig(prune_interval=1), use_identity=False)
+def test_transparent_and_huge_gaussians_are_pruned(
+    device: str, frame: Frame, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(optimiser, "_PRUNE_INTERVAL", 1)
+    mapper = made(device, use_identity=False)
     assert frame.T_wc is not None
     mapper.insert(frame, frame.T_wc)
     count = mapper.map.count
@@ -96,9 +100,12 @@ def test_transparent_and_huge_gaussians_are_pruned(device: str, frame: Frame) ->
     assert mapper.map.count == count - 15
 
 
-@pytest.mark.parametrize("idle", [0, 20])
-def test_gaussians_that_stay_hidden_are_pruned(idle: int, device: str, frame: Frame) -> None:
-    mapper = made(device, MapperConfig(prune_interval=25, prune_idle=idle), use_identity=False)
+@pytest.mark.parametrize("views", [0, 20])
+def test_gaussians_that_stay_hidden_are_pruned(
+    views: int, device: str, frame: Frame, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(optimiser, "_PRUNE_INTERVAL", 25)
+    mapper = made(device, MapperConfig(prune_low_weight=views), use_identity=False)
     assert frame.T_wc is not None
     mapper.insert(frame, frame.T_wc)
     count, eye = mapper.map.count, frame.T_wc[:3, 3].astype(np.float32)
@@ -117,7 +124,7 @@ def test_gaussians_that_stay_hidden_are_pruned(idle: int, device: str, frame: Fr
         mapper.iterate()
     mapper.synchronise()
     left = np.count_nonzero(mapper.map.fields["keyframe_ids"].numpy()[: mapper.map.count] == 7)
-    if idle:
+    if views:
         assert left < 0.5 * len(behind)
         assert mapper.map.count > 0.9 * count, "what is seen stays"
     else:
@@ -144,10 +151,13 @@ def test_a_frame_without_mask_still_teaches_colour(device: str, frame: Frame) ->
 
 
 @pytest.mark.parametrize("change", [{"weight": 0.0, "weight_3d": 0.0}, {"shapes": False}], ids=str)
-def test_identities_that_shape_nothing_change_nothing_else(change: dict, device: str, frame: Frame) -> None:
+def test_identities_that_shape_nothing_change_nothing_else(
+    change: dict, device: str, frame: Frame, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The same Gaussians are seeded, the same keyframes drawn, and the map is the one without identities."""
     classifier = dataclasses.replace(MapperConfig().classifier, **change)
-    config = MapperConfig(classifier=classifier, prune_interval=11)
+    monkeypatch.setattr(optimiser, "_PRUNE_INTERVAL", 11)
+    config = MapperConfig(classifier=classifier)
     mappers = [made(device, config, use_identity=use) for use in (True, False)]
     for new in (frame, OFFICE[5], OFFICE[10]):
         for mapper in mappers:
@@ -166,7 +176,9 @@ def test_recorded_iterations_are_the_direct_ones_to_the_bit(
 ) -> None:
     # Little room, so that the map's arrays grow between recordings.
     monkeypatch.setitem(GaussianMap.__init__.__kwdefaults__, "capacity", 4500)
-    config = MapperConfig(prune_interval=7, prune_scale=0.08, pose_rates=(1e-4, 1e-4))
+    monkeypatch.setattr(optimiser, "_PRUNE_INTERVAL", 7)
+    monkeypatch.setattr(optimiser, "_PRUNE_SCALE", 0.08)
+    config = MapperConfig(pose_rates=(1e-4, 1e-4))
     mappers = [
         build_mapper(config, OFFICE.camera, device=device, use_identity=use_identity, recorded=recorded)
         for recorded in (False, True)
@@ -214,7 +226,7 @@ def test_monocular_keyframes_get_their_depth_from_the_map_and_the_motion(device:
     true = office[7].depth
     assert true is not None
     assert np.median(np.abs(z / true[rows, columns] - 1.0)) < 0.08
-    assert not any(keyframe.has_depth for keyframe in mapper._optimiser.keyframes)
+    assert not any(keyframe.has_depth for keyframe in mapper._keyframes)
     assert np.isfinite((mapper.iterate(), mapper.synchronise())[1])
 
 

@@ -75,11 +75,10 @@ def test_only_the_defaults_give_way_to_what_one_camera_needs() -> None:
     changed = monocular(given)
     assert changed.mono and not changed.use_identity
     assert changed.policy == "covisibility" and any(changed.mapper.pose_rates)
-    rates = dataclasses.replace(given.mapper.rates, means=7e-3)
     own = dataclasses.replace(
-        given, mapper=dataclasses.replace(given.mapper, rates=rates, pose_rates=(1e-5, 1e-5))
+        given, mapper=dataclasses.replace(given.mapper, rate_decay=7.0, pose_rates=(1e-5, 1e-5))
     )
-    assert monocular(own).mapper.rates == rates and monocular(own).mapper.pose_rates == (1e-5, 1e-5)
+    assert monocular(own).mapper.rate_decay == 7.0 and monocular(own).mapper.pose_rates == (1e-5, 1e-5)
     assert monocular(changed) == changed
 
 

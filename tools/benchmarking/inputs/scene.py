@@ -88,12 +88,14 @@ def scene_mapper(gaussians: Gaussians, camera: Camera, *, device: Any) -> tuple[
     All of an iteration is done, but learning rates are 0: each iteration sees the same scene.
     """
     config = MapperConfig(
-        rates=AdamRates(0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
         seeding=SeedingConfig(min_density=0.0, max_density=0.0),
         classifier=ClassifierConfig(rate=0.0),
         supervision=SupervisionConfig(votes=0),
     )
-    mapper = build_mapper(config, camera, device=device, use_identity=gaussians.identities is not None)
+    still = AdamRates(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    mapper = build_mapper(
+        config, camera, device=device, use_identity=gaussians.identities is not None, rates=still
+    )
     mapper.map.append(gaussians)
     view = mapper.render(np.eye(4))
     noise = np.random.default_rng(1).normal(scale=8.0, size=view.rgb.shape)
