@@ -17,6 +17,9 @@ from ggwarp.datasets.resize import reduce_depth, resize_nearest
 from ggwarp.geometry.camera import Camera
 from ggwarp.types import Frame
 
+_PATIENCE = 5.0
+"""Seconds that the frame being read may take to come, when no more are wanted."""
+
 
 @dataclass(frozen=True)
 class BadFrame:
@@ -83,10 +86,13 @@ class FrameReader:
         self.close()
 
     def close(self) -> None:
-        """Stop reading; frames not handed out yet are dropped."""
+        """Stop reading; frames not handed out yet are dropped.
+
+        A disk that answers no more is not waited for: its thread ends with the program.
+        """
         self._stop.set()
         if self._thread is not None:
-            self._thread.join()
+            self._thread.join(_PATIENCE)
 
     def __iter__(self) -> Iterator[Frame | BadFrame]:
         self.close()

@@ -2,23 +2,31 @@
 """Object ids: the masks' own ids on one side, dense class indices on the other.
 
 Masks may name objects by any non-negative integer; the classifier wants 0..classes-1. The
-table grows with every new id, so that no id is dropped. Two classes found to be one object are merged: they
+table grows with every new id, up to more than any room holds. Two classes found to be one object are merged: they
 go on as two for the classifier, and under one id for everyone else. When an id is found to stand for two
 objects, it stays the id of one of them, and the other gets an id of its own.
 """
 
 from __future__ import annotations
 
+import logging
+
 import numpy as np
 from numpy.typing import NDArray
 
 from ggwarp.objects.labels import ranked
+
+log = logging.getLogger(__name__)
 
 NO_OBJECT = 0
 """The masks' id, and the class, of pixels that belong to no object."""
 
 IGNORED = -1
 """Label of pixels that say nothing."""
+
+
+MOST_CLASSES = 8192
+"""Most classes of a run: an id costs memory (about 45 kB) and time, whoever drew it."""
 
 
 class ClassTable:
@@ -29,6 +37,7 @@ class ClassTable:
         self._merged_into = [0]  # class -> the class that it was merged into, or itself
         self._class_of_id: dict[int, int] = {NO_OBJECT: 0}  # mask id -> class
         self._shares_id_of: dict[int, int] = {}  # class -> the class whose mask id stands for it, too
+        self._warned = False
 
     @property
     def count(self) -> int:
@@ -48,14 +57,14 @@ class ClassTable:
     def encode(self, mask: NDArray[np.int32]) -> NDArray[np.int32]:
         """Return the class of each pixel of ``mask`` [h, w], adding classes for new ids.
 
-        Negative ids become :data:`IGNORED`.
+        Negative ids become :data:`IGNORED`, and so do new ones once there are :data:`MOST_CLASSES` classes.
         """
         ids, ranks = ranked(mask)
         return self.encode_ids(ids)[ranks]
 
     def encode_ids(self, ids: NDArray[np.int32]) -> NDArray[np.int32]:
         """Return [k] the class of each of distinct ``ids`` [k]; as :meth:`encode`."""
-        classes = [IGNORED if raw < 0 else self._class_of(raw) for raw in ids.tolist()]
+        classes = [self._class_of(raw) for raw in ids.tolist()]
         return self.merged(np.array(classes, np.int32))
 
     def decode(self, classes: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -126,6 +135,9 @@ class ClassTable:
 
     def _class_of(self, raw: int) -> int:
         if raw not in self._class_of_id:
+            if raw < 0 or self.count >= MOST_CLASSES:
+                self._warn(raw)
+                return IGNORED
             others = [index for index, taken in enumerate(self._ids) if taken == raw]
             self._class_of_id[raw] = self.new_class()
             self._ids[-1] = raw
@@ -133,3 +145,12 @@ class ClassTable:
                 self._ids[index] = NO_OBJECT
                 self.assign_id(index)
         return self._class_of_id[raw]
+
+    def _warn(self, raw: int) -> None:
+        if raw >= 0 and not self._warned:
+            log.warning(
+                "the masks have named %d objects; further ones are left aside. Do their ids mean the same object "
+                "in every frame? If not: --masks-kind untracked",
+                self.count - 1,
+            )
+            self._warned = True

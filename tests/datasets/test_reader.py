@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from ggwarp.datasets import BadFrame, DatasetError, FrameReader, open_dataset
+from ggwarp.datasets import reader as reader_module
 from ggwarp.datasets.replica import open_sequence
 from ggwarp.geometry.camera import Camera
 from ggwarp.types import Frame
@@ -66,6 +67,26 @@ def test_leaving_early_ends_the_thread() -> None:
 def test_it_can_be_read_twice() -> None:
     with FrameReader(Counting(), range(3)) as reader:
         assert [f.index for f in reader] == [f.index for f in reader] == [0, 1, 2]
+
+
+def test_a_disk_that_does_not_answer_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The second frame never comes."""
+    answer = threading.Event()
+
+    class Stalled(Counting):
+        def __getitem__(self, index: int) -> Frame:
+            if index == 1:
+                answer.wait()
+            return super().__getitem__(index)
+
+    monkeypatch.setattr(reader_module, "_PATIENCE", 0.05)
+    with FrameReader(Stalled(), range(3)) as reader:
+        for _ in reader:
+            break
+    answer.set()
+    for thread in threading.enumerate():
+        if thread.name == "frame-reader":
+            thread.join()
 
 
 def test_nothing_to_read() -> None:

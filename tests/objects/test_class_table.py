@@ -4,6 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ggwarp.objects import class_table
 from ggwarp.objects.class_table import IGNORED, ClassTable
 
 
@@ -22,6 +23,17 @@ def test_classes_of_earlier_frames_stay() -> None:
     table = ClassTable()
     table.encode(np.array([[5]], np.int32))
     assert table.encode(np.array([[3, 5]], np.int32)).tolist() == [[2, 1]]
+
+
+def test_a_run_has_a_bounded_number_of_classes(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(class_table, "MOST_CLASSES", 5)
+    table = ClassTable()
+    found = [table.encode(np.array([[10 * i, 10 * i + 1]], np.int32)).tolist() for i in range(1, 5)]
+    assert found == [[[1, 2]], [[3, 4]], [[IGNORED, IGNORED]], [[IGNORED, IGNORED]]]
+    assert table.encode(np.array([[0, 21]], np.int32)).tolist() == [[0, 4]] and table.count == 5
+    assert len(caplog.records) == 1 and "named 4 objects" in caplog.text
 
 
 def test_negative_ids_are_ignored() -> None:
