@@ -14,8 +14,9 @@ from ggwarp.editing import edits
 from ggwarp.editing.device import ready_device
 from ggwarp.editing.selection import SelectionConfig, select
 from ggwarp.geometry import se3
+from ggwarp.io.printable import shown
 from ggwarp.map.gaussians import Gaussians, join
-from ggwarp.objects.inventory import ObjectRecord, centre_of
+from ggwarp.objects.inventory import ObjectRecord, centre_of, is_name
 from ggwarp.results.saved_run import RunError, SavedRun
 from ggwarp.types import Float64
 
@@ -120,6 +121,8 @@ def _recolour(run: SavedRun, step: argparse.Namespace) -> SavedRun:
 
 def _label(run: SavedRun, step: argparse.Namespace) -> SavedRun:
     record = run.find(step.id)
+    if not is_name(step.name):
+        raise RunError(f"label {shown(step.name)}: give at most 1000 characters, all of them of UTF-8")
     objects = edits.relabel(run.objects, record.id, step.name)
     entry: dict[str, Any] = {"edit": "label", "id": record.id, "label": step.name}
     return dataclasses.replace(run, objects=objects, edits=(*run.edits, entry))

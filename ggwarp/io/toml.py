@@ -64,8 +64,10 @@ def read_toml(path: Path) -> dict[str, Any]:
         return tomllib.loads(text)
     except RecursionError:
         raise TomlError(f"{name}: is nested too deeply") from None
-    except ValueError as error:  # also of numbers with thousands of digits
+    except tomllib.TOMLDecodeError as error:
         raise TomlError(f"{name}: {printable(str(error))}") from None
+    except ValueError:  # of Python's own limit
+        raise TomlError(f"{name}: a number has thousands of digits") from None
 
 
 def merged(default: T, values: dict[str, Any], *, where: str, prefix: str = "") -> T:

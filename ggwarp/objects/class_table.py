@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Object ids: the masks' own ids on one side, dense class indices on the other.
 
-Masks may name objects by any non-negative integer; the classifier wants 0..classes-1. The
-table grows with every new id, up to more than any room holds. Two classes found to be one object are merged: they
+Masks may name objects by any non-negative integer; the classifier wants 0..classes-1. The table grows
+with every new id, up to more than any room holds. Two classes found to be one object are merged: they
 go on as two for the classifier, and under one id for everyone else. When an id is found to stand for two
 objects, it stays the id of one of them, and the other gets an id of its own.
 """
@@ -149,8 +149,8 @@ class ClassTable:
     def _warn(self, raw: int) -> None:
         if raw >= 0 and not self._warned:
             log.warning(
-                "the masks have named %d objects; further ones are left aside. Do their ids mean the same object "
-                "in every frame? If not: --masks-kind untracked",
+                "the masks have named %d objects; further ones are left aside. Do their ids mean the same "
+                "object in every frame? If not: --masks-kind untracked",
                 self.count - 1,
             )
             self._warned = True

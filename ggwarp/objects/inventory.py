@@ -187,6 +187,11 @@ def centre_of(means: Float32) -> Vector:
     return _vector(means[main_parts(means)].mean(axis=0, dtype=np.float64))
 
 
+def is_name(text: str) -> bool:
+    """Return whether ``text`` can be the name of an object: short, and of whole characters."""
+    return len(text) <= _LONGEST_NAME and not any("\ud800" <= c <= "\udfff" for c in text)
+
+
 def _value(entry: dict[str, Any], key: str) -> Any:
     if key not in entry:
         raise ValueError(f"{key} is missing")
@@ -236,7 +241,7 @@ def _numbers(
 
 def _text(entry: dict[str, Any], key: str) -> str | None:
     value = entry.get(key)
-    if value is not None and (not isinstance(value, str) or len(value) > _LONGEST_NAME):
+    if value is not None and (not isinstance(value, str) or not is_name(value)):
         raise ValueError(f"{key} is {shown(value)}")
     return value
 

@@ -30,7 +30,6 @@ HOSTILE = {
     "escape": "\x1b]0;owned\x07",
     "colour": "[bold red]x",
     "lines": "a\nb",
-    "half": "\ud800",
 }
 
 
@@ -60,9 +59,23 @@ def test_a_label_given_by_the_user_comes_back(run_folder, capsys):
     assert r"[/red] \x1b[31m" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("label", ["\udcff", "x" * 1001])
+def test_a_label_that_could_not_be_read_again_is_not_written(run_folder, capsys, label):
+    assert "label" in refuse(run_folder, capsys, "label", "5", label)
+    assert [path.name for path in run_folder.parent.iterdir()] == ["run"]
+
+
 @pytest.mark.parametrize(
     ("key", "value"),
-    [("label", 5), ("class", [1]), ("count", None), ("confidence", "x"), ("colour", [1e9, 0, 0]), ("box", 3)],
+    [
+        ("label", 5),
+        ("label", "\ud800"),
+        ("class", [1]),
+        ("count", None),
+        ("confidence", "x"),
+        ("colour", [1e9, 0, 0]),
+        ("box", 3),
+    ],
 )
 def test_values_of_other_types(run_folder, capsys, key, value):
     path = run_folder / "objects.json"
