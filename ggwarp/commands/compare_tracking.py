@@ -25,6 +25,7 @@ from ggwarp.datasets import DatasetError, open_dataset
 from ggwarp.evaluation.trajectory import absolute_error
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
+from ggwarp.io.printable import printable
 from ggwarp.pipeline.tracking.gicp import OVERLAP_DISTANCE, REACH, GicpConfig, GicpTracker
 from ggwarp.pipeline.tracking.keyframe_policy import KeyframeConfig, KeyframeKind, OverlapKeyframes
 from ggwarp.pipeline.tracking.point_map import TrackableConfig, TrackableMap
@@ -183,7 +184,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             dataset = open_dataset(name, data_root=root, masks="none")
         except DatasetError as error:
-            print(f"ggwarp compare-tracking: {error}", file=sys.stderr)
+            print(f"ggwarp compare-tracking: {printable(str(error))}", file=sys.stderr)
             return USER_ERROR
         trackers = {
             "ggwarp": GicpTracker(config, dataset.camera),
@@ -193,7 +194,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for label, tracker in trackers.items():
             ate, ms, lost = run(tracker, dataset)
             shown = "" if isinstance(tracker, PeerTracker) else str(lost)
-            print(f"{dataset.name:28} {label:22} {ate:8.4f} {ms:7.1f} {shown:>5}", flush=True)
+            print(f"{printable(dataset.name):28} {label:22} {ate:8.4f} {ms:7.1f} {shown:>5}", flush=True)
     return 0
 
 

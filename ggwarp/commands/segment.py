@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from ggwarp.datasets import DatasetError, open_dataset
 from ggwarp.datasets.base import Dataset
 from ggwarp.datasets.masks import write_mask
+from ggwarp.io.printable import printable
 
 Ids = NDArray[np.int32]
 Picture = NDArray[np.uint8]
@@ -179,7 +180,7 @@ def main(arguments: list[str] | None = None) -> int:
         segment = load_segmenter(options.model, options.device)
         written = write_masks(dataset, segment, options.out, step=options.step)
     except (DatasetError, SegmenterError, OSError) as error:
-        print(f"ggwarp segment: {error}", file=sys.stderr)
+        print(f"ggwarp segment: {printable(str(error))}", file=sys.stderr)
         return 2
     print(f"{written} masks in {options.out}; run with --masks {options.out} --masks-kind untracked")
     return 0

@@ -23,6 +23,7 @@ from ggwarp.datasets import DatasetError, open_dataset
 from ggwarp.datasets.built_in.faults import MaskFaults, faulty_mask
 from ggwarp.datasets.masks import MASK_FOLDERS, read_mask, write_mask
 from ggwarp.datasets.sequence import frame_number
+from ggwarp.io.printable import printable
 
 Ids = NDArray[np.int32]
 
@@ -135,7 +136,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         written, missing = spoil(options.source, options.out, faults, root)
     except (DatasetError, OSError) as error:
-        print(f"ggwarp spoil-masks: {error}", file=sys.stderr)
+        print(f"ggwarp spoil-masks: {printable(str(error))}", file=sys.stderr)
         return 2
     print(f"{written} masks in {options.out}; {missing} frames have none")
     return 0
