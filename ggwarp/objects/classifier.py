@@ -40,9 +40,9 @@ class ClassifierConfig:
     """How identities are learnt."""
 
     weight: float = 0.1
-    """l_obj of the loss (GG-SLAM eq. 5)."""
+    """Weight of the cross-entropy in the loss (GG-SLAM eq. 5: l_obj)."""
     weight_3d: float = 0.0
-    """l_obj3d of the loss: 1 as published; the mean IoU is no better for it where keyframes vote."""
+    """Weight of the 3-D neighbour term (l_obj3d): 1 as published; no better where keyframes vote."""
     rate: float = 5e-4
     """Adam's learning rate of the classifier."""
     shapes: bool = True

@@ -18,6 +18,9 @@ from ggwarp.types import Float32
 SLIP = 1.0
 """Standard deviation along a surface, metres: how freely matched patches slide along each other."""
 
+_NEAR = 0.1
+"""Readings closer are dropped, metres."""
+
 _NEIGHBOURS = 10
 """Neighbours that a point's ellipse is fitted to; 16 at most."""
 
@@ -28,8 +31,6 @@ class ObservationConfig:
 
     points: int = 8000
     """About so many points of a frame are tracked: the sampling grid is as fine as that takes."""
-    near: float = 0.1
-    """Readings closer are dropped, metres."""
     far: float = 12.0
     """Readings farther are dropped, metres; far ones count little anyway."""
     noise_floor: float = 0.001
@@ -85,7 +86,7 @@ def observe(image: Float32, camera: Camera, config: ObservationConfig, *, device
         wp.array(np.ascontiguousarray(image, np.float32), dtype=float, device=device),
         (camera.fx, camera.fy, camera.cx, camera.cy),
         stride=stride,
-        near=config.near,
+        near=_NEAR,
         far=config.far,
         edge=0.0,  # readings at edges of depth are kept
         flags=flags,

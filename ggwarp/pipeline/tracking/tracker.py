@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from ggwarp.geometry.camera import Camera
 from ggwarp.map.renderer import Renderer
@@ -19,6 +19,7 @@ from ggwarp.pipeline.tracking.pose_refinement import RefinementConfig
 from ggwarp.types import Float64, Frame, MapSnapshot, TrackResult
 
 
+@runtime_checkable
 class Tracker(Protocol):
     """Finds each frame's pose.
 
@@ -72,7 +73,7 @@ TrackerFactory = Callable[[TrackerContext], Tracker]
 """Makes a tracker; it is called again where a new map begins."""
 
 if TYPE_CHECKING:
-    TrackerChoice = str | TrackerFactory
+    TrackerChoice = str | Tracker | TrackerFactory
 else:
     TrackerChoice = str  # on the command line and in files a tracker is chosen by its name
 
@@ -137,22 +138,24 @@ def register_tracker(name: str, factory: TrackerFactory) -> None:
 
 
 def tracker_factory(choice: TrackerChoice) -> TrackerFactory:
-    """Return what makes the tracker ``choice``, a name or a factory.
+    """Return what makes the tracker ``choice``: a name, a factory, or a tracker, which is then started anew.
 
     Raises:
-        TrackerError: there is no tracker of that name, or it is neither name nor factory.
+        TrackerError: there is no tracker of that name, or it is none of these.
     """
     names = ", ".join(TRACKERS)
     if isinstance(choice, str):
         if choice not in TRACKERS:
             raise TrackerError(f"{choice}: no such tracker; choose one of {names}")
         return TRACKERS[choice]
-    if not callable(choice):
-        raise TrackerError(
-            f"{choice!r}: no tracker; give a name ({names}), or a function that takes a TrackerContext and "
-            "returns a tracker"
-        )
-    return choice
+    if not isinstance(choice, type) and isinstance(choice, Tracker):
+        return lambda context: choice
+    if callable(choice):
+        return choice
+    raise TrackerError(
+        f"{choice!r}: no tracker; give a name ({names}), an object with Tracker's methods, or a function "
+        "that takes a TrackerContext and returns one"
+    )
 
 
 def make_tracker(context: TrackerContext) -> Tracker:

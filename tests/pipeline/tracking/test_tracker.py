@@ -76,6 +76,12 @@ def test_a_factory_is_a_tracker_too_and_is_told_of_the_run(device: str) -> None:
     assert len(slam.reports) == 3 and not made[0].corrected, "poses are not fitted"
 
 
+def test_a_tracker_itself_will_do(device: str) -> None:
+    still = StandingStill(None)  # pyright: ignore[reportArgumentType]
+    slam = run(dataclasses.replace(CONFIG, tracker=still), device)
+    assert [r.verdict for r in slam.reports] == [Verdict.CONVERGED, Verdict.POOR, Verdict.POOR]
+
+
 def test_corrected_poses_reach_a_tracker_that_works_in_turn(device: str) -> None:
     made: list[StandingStill] = []
 
