@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -46,6 +47,16 @@ class TargetView(Protocol):
     def has_depth(self) -> bool:
         """Whether colour counts only where there is depth."""
         ...
+
+
+@dataclass(frozen=True)
+class UploadedView:
+    """A :class:`TargetView` that is nothing else."""
+
+    T_cw: wp.array
+    colour: wp.array
+    depth: wp.array
+    has_depth: bool = True
 
 
 class GaussianOptimiser:

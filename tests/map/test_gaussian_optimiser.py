@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """One step of fitting Gaussians: all of them, or some while the others keep every bit."""
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 import warp as wp
@@ -10,20 +8,12 @@ import warp as wp
 from ggwarp.geometry.camera import Camera
 from ggwarp.kernels.optim.adam import AdamRates
 from ggwarp.map.gaussian_map import GaussianMap
-from ggwarp.map.gaussian_optimiser import GaussianOptimiser
+from ggwarp.map.gaussian_optimiser import GaussianOptimiser, UploadedView
 from ggwarp.map.gaussians import Gaussians
 from ggwarp.map.renderer import Renderer
 
 CAMERA = Camera(48, 32, 40.0, 40.0, 23.5, 15.5)
 RATES = AdamRates(means=1e-3, quats=1e-2, log_scales=1e-2, opacity=0.05, colours=0.05)
-
-
-@dataclass(frozen=True)
-class View:
-    T_cw: wp.array
-    colour: wp.array
-    depth: wp.array
-    has_depth: bool = True
 
 
 def wall(rng: np.random.Generator, count: int = 80) -> Gaussians:
@@ -44,7 +34,7 @@ def fitted(
     model.append(gaussians)
     renderer = Renderer(model, CAMERA)
     optimiser = GaussianOptimiser(model, renderer, rates=RATES, depth_weight=4.0, free=free)
-    view = View(
+    view = UploadedView(
         renderer.pose_array(np.eye(4)),
         wp.array(np.full((32, 48, 3), 200, np.uint8), dtype=wp.uint8, device=device),
         wp.array(np.full((32, 48), 2.2, np.float32), dtype=float, device=device),

@@ -21,7 +21,7 @@ from ggwarp.editing.edits import remove
 from ggwarp.editing.inpaint.fitting import RefitConfig, WantedView, fit
 from ggwarp.editing.inpaint.holes import HoleConfig, PlaneHole, find_holes, hits
 from ggwarp.editing.inpaint.image_inpainting import Inpaint, inpaint_depth, inpaint_shade
-from ggwarp.editing.inpaint.object_views import ObjectView, look, share_in_the_clear, world_rays
+from ggwarp.editing.inpaint.object_views import ObjectView, share_in_the_clear, view_object, world_rays
 from ggwarp.editing.inpaint.plane_texture import Surface, paint
 from ggwarp.editing.map_view import MapView, best_views
 from ggwarp.geometry import se3
@@ -91,7 +91,7 @@ def fill_removed(
         return kept, 0
     kept = remove(kept, hidden)
     rest = MapView(kept, camera, device=device)
-    object_views = [look(view, rest, poses[i], removed) for i in indices]
+    object_views = [view_object(view, rest, poses[i], removed) for i in indices]
     holes = find_holes(kept, object_views, camera, config.holes)
     # What lies on a hole, though no view ever saw it rightly, makes room.
     kept = remove(kept, _over(holes, kept, config))

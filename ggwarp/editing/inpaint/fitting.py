@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ggwarp.geometry.camera import Camera
 from ggwarp.kernels.optim.adam import AdamRates
 from ggwarp.map.gaussian_map import PARAMETERS, GaussianMap
-from ggwarp.map.gaussian_optimiser import GaussianOptimiser
+from ggwarp.map.gaussian_optimiser import GaussianOptimiser, UploadedView
 from ggwarp.map.gaussians import Gaussians
 from ggwarp.map.renderer import Renderer
 from ggwarp.types import Float32, Float64
@@ -50,16 +50,6 @@ class WantedView:
     depth: Float32
 
 
-@dataclass(frozen=True)
-class _Uploaded:
-    """A wanted view on the device; see :class:`ggwarp.map.gaussian_optimiser.TargetView`."""
-
-    T_cw: wp.array
-    colour: wp.array
-    depth: wp.array
-    has_depth: bool = True
-
-
 def fit(
     gaussians: Gaussians,
     free: NDArray[np.bool_],
@@ -82,7 +72,7 @@ def fit(
         model, renderer, rates=config.rates, depth_weight=config.depth_weight, free=free
     )
     targets = [
-        _Uploaded(
+        UploadedView(
             renderer.pose_array(view.T_wc),
             wp.array(view.rgb, dtype=wp.uint8, device=device),
             wp.array(view.depth, dtype=float, device=device),

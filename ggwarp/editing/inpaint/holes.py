@@ -3,7 +3,7 @@
 
 The surfaces around the object are taken to be planes that go on behind it. A place on one of them
 is unseen when every view of it is blocked: a view that shows something there, or through there to
-something farther, settles it. Of the unseen places those matter which a view without the object would show.
+something farther, decides it. Of the unseen places those matter which a view without the object would show.
 """
 
 from __future__ import annotations

@@ -50,7 +50,7 @@ class ObjectView:
         return self.coverage > _TOUCHED
 
 
-def look(whole: MapView, kept: MapView, T_wc: Float64, selected: Bools) -> ObjectView:
+def view_object(whole: MapView, kept: MapView, T_wc: Float64, selected: Bools) -> ObjectView:
     """Return what ``T_wc`` shows of ``whole``, and of ``kept``, the map without its ``selected`` [n]."""
     after, before = kept.render(T_wc), whole.render(T_wc)
     return ObjectView(

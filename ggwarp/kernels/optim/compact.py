@@ -48,7 +48,7 @@ def _flags_kernel(
 
 
 @wp.kernel
-def _idle_kernel(
+def _low_weight_kernel(
     offset: int,
     least_weight: float,
     ranks: wp.array[wp.int32],
@@ -140,7 +140,7 @@ def count_low_weight(
         device: a Warp device.
     """
     launch_split(
-        _idle_kernel,
+        _low_weight_kernel,
         ranks.shape[0],
         inputs=[least_weight, ranks, weights],
         outputs=[low_weight_counts],

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Depth of a monocular keyframe: what the map shows, what recent pictures say, and a guess for the rest."""
+"""Depth of a monocular keyframe: what the map shows, what recent pictures say, and the rest filled in."""
 
 from __future__ import annotations
 

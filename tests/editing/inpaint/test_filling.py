@@ -8,7 +8,7 @@ from ggwarp.editing.edits import extract, remove
 from ggwarp.editing.inpaint.filling import fill_removed
 from ggwarp.editing.inpaint.holes import FREE, SEEN, UNSEEN, find_holes
 from ggwarp.editing.inpaint.image_inpainting import inpaint_shade
-from ggwarp.editing.inpaint.object_views import look, share_in_the_clear
+from ggwarp.editing.inpaint.object_views import share_in_the_clear, view_object
 from ggwarp.editing.inpaint.plane_texture import paint, sampled
 from ggwarp.editing.map_view import MapView
 from ggwarp.geometry.camera import Camera
@@ -71,7 +71,7 @@ def test_the_hole_is_what_nobody_saw(whole, wall, device):
     board = whole.object_ids == 5
     kept = remove(whole, board)
     views = MapView(whole, CAMERA, device=device), MapView(kept, CAMERA, device=device)
-    holes = find_holes(kept, [look(*views, T_wc, board) for T_wc in POSES], CAMERA)
+    holes = find_holes(kept, [view_object(*views, T_wc, board) for T_wc in POSES], CAMERA)
     assert len(holes) == 1
     hole = holes[0]
     assert abs(hole.plane.normal[2]) > 0.999 and abs(hole.plane.origin[2] - WALL) < 0.01
@@ -139,7 +139,7 @@ def test_a_plane_is_painted_as_it_was_seen(whole, device):
     board = whole.object_ids == 5
     kept = remove(whole, board)
     views = MapView(whole, CAMERA, device=device), MapView(kept, CAMERA, device=device)
-    views = [look(*views, T_wc, board) for T_wc in POSES]
+    views = [view_object(*views, T_wc, board) for T_wc in POSES]
     hole = find_holes(kept, views, CAMERA)[0]
     surface = paint(hole, views, CAMERA, inpaint_shade, margin=8, tolerance=0.01)
     at = hole.plane.points(hole.plane.coordinates(hole.centres(hole.states == SEEN))[:, :2])
