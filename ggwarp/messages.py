@@ -51,10 +51,18 @@ def lateness(reports: Sequence[StepReport]) -> str:
     return f"{len(late)} of {len(reports)} frames were taken up late, by up to {worst:.0f} ms{waiting}"
 
 
-def explain(failure: Exception) -> None:
-    """Say what ended the run; where it looks like a fault of ours, say where in the code, too."""
-    reason = failure.__cause__ or failure
+def explain(what: str, reason: BaseException) -> str:
+    """Say that ``what`` failed, and why; where it looks like a fault of ours, say where in the code, too.
+
+    Returns:
+        The line that was said.
+    """
     if not isinstance(reason, (DatasetError, OSError, MemoryError)):
         traceback.print_exception(reason)
-    what = f"{type(reason).__name__}: {reason}" if str(reason) else type(reason).__name__
-    print(f"ggwarp: {printable(f'{failure}: {what}')}", file=sys.stderr)
+    if isinstance(reason, OSError) and reason.strerror:
+        why = f"{reason.filename}: {reason.strerror}" if reason.filename else reason.strerror
+    else:
+        why = f"{type(reason).__name__}: {reason}" if str(reason) else type(reason).__name__
+    line = printable(f"{what}: {why}")
+    print(f"ggwarp: {line}", file=sys.stderr)
+    return line

@@ -28,10 +28,11 @@ from ggwarp.pipeline.runner import SideError, run_steps
 from ggwarp.pipeline.scheduler import LiveScheduler, Scheduler, UncappedScheduler
 from ggwarp.pipeline.slam import Slam
 from ggwarp.results import run_folder
-from ggwarp.results.metrics import RESULTS, metrics_of
+from ggwarp.results.metrics import RESULTS
 from ggwarp.results.record import RunRecord
 from ggwarp.results.renders import RenderWriter
 from ggwarp.runtime import loading
+from ggwarp.saving import Saver
 from ggwarp.types import Frame, Rendered, StepReport, Verdict
 
 DONE, FAILED, INTERRUPTED = 0, 1, 130
@@ -80,8 +81,8 @@ class Session:
         self.prepare()
         self.track_and_map()
         self.refine()
-        self.evaluate()
         self.save()
+        self.evaluate()
         return self.show()
 
     def open(self) -> None:
@@ -128,6 +129,7 @@ class Session:
         self.record = RunRecord(
             self._name, dataset.kind, config.device, class_names=names, monocular=config.slam.mono
         )
+        self._saver = Saver(self.record, self.folder, self._display, self._started)
 
     def track_and_map(self) -> None:
         """Process the frames; a failure of either side ends the loop and is kept in the record.
@@ -188,24 +190,65 @@ class Session:
                 self._interruption.requested = False
                 done = f"{record.refine_iterations} of {iterations} iterations"
                 self._display.note(f"refinement ended after {done}")
-        if record.failure is not None:
-            self._display.close()
-            messages.explain(record.failure)  # first: what follows may fail for the same reason
+        if record.failure is not None:  # said first: what follows may fail for the same reason
+            self._saver.failed(str(record.failure), record.failure.__cause__ or record.failure)
         record.correct(self._slam.fitted_poses())
 
+    def save(self) -> None:
+        """Write all but what comes of comparing pictures; a part that fails is said, the rest is written."""
+        self._display.stage("saving")
+        self._saver.save_system(self._slam)
+        self._saver.save_tables()
+
     def evaluate(self) -> None:
-        """Compare the map with the frames and save renders; not after an interrupted or failed run."""
+        """Compare the map with the frames, and add that to what is saved.
+
+        Not after an interrupted or failed run. A failure is said and kept in the record.
+        """
         if self._ended:
             return
+        self._display.stage("evaluating", len(self.record.reports))
+        self._saver.attempt("evaluation", self._compare)
+        self._display.stage("saving")
+        self._saver.save_tables()
+
+    def show(self) -> int:
+        """Say how the run ended, with its figures where it is complete; return the exit code."""
+        display, record = self._display, self.record
+        display.close()
+        share = f"{len(record.reports)} of {len(self._indices)} frames"
+        if record.failure is not None:
+            display.conclude(f"failed after {share}; saved in {self.folder}")
+            return FAILED
+        if self._stopped:
+            display.conclude(f"interrupted after {share}; saved in {self.folder}")
+            return INTERRUPTED
+        display.results(self._saver.metrics, RESULTS)
+        if record.failures:
+            count = len(record.failures)
+            display.conclude(f"{count} part{'s' * (count > 1)} failed; the rest is in {self.folder}")
+            return FAILED
+        display.conclude(f"results in {self.folder}")
+        return DONE
+
+    def _compare(self) -> None:
         record, every = self.record, self.config.save_renders
         saved = {r.index for r in record.reports[::every]} if every else set()
-        writer = RenderWriter(self.folder / "renders", self._slam.map_arrays().identities)
-        self._display.stage("evaluating", len(record.reports))
+        writer: RenderWriter | None = None
+        attempt = self._saver.attempt
 
         def on_view(frame: Frame, view: Rendered, score: FrameScore) -> None:
             self._display.advance()
-            if frame.index in saved:
-                writer.write(frame.index, view)
+            if frame.index in saved and not self._saver.attempt(
+                "saving renders", lambda: write(frame.index, view)
+            ):
+                saved.clear()
+
+        def write(index: int, view: Rendered) -> None:
+            nonlocal writer
+            if writer is None:
+                writer = RenderWriter(self.folder / "renders", self._slam.map_arrays().identities)
+            writer.write(index, view)
 
         evaluation = compare(
             itertools.takewhile(lambda _: not self._stopped, self._kept or self._frames_again()),
@@ -219,42 +262,13 @@ class Session:
         if not self._stopped:
             record.evaluation = evaluation
 
-    def save(self) -> None:
-        """Write the run folder."""
-        slam, record, folder = self._slam, self.record, self.folder
-        self._display.stage("saving")
-        # The trajectory first: where the device has failed, the map cannot be had.
-        run_folder.write_trajectories(folder, record)
-        arrays = slam.map_arrays()
-        run_folder.write_map(folder, arrays, slam.objects(record.class_names), slam.linear_classifier())
-        run_folder.write_frames(folder, record)
-        run_folder.write_object_scores(folder, record)
-        wall_s = time.perf_counter() - self._started
-        self._metrics = metrics_of(record, wall_s=wall_s, gaussians=len(arrays))
-        run_folder.write_metrics(folder, self._metrics)
-
-    def show(self) -> int:
-        """Say how the run ended, with its figures where it is complete; return the exit code."""
-        display = self._display
-        display.close()
-        share = f"{len(self.record.reports)} of {len(self._indices)} frames"
-        if self.record.failure is not None:
-            display.conclude(f"failed after {share}; saved in {self.folder}")
-            return FAILED
-        if self._stopped:
-            display.conclude(f"interrupted after {share}; saved in {self.folder}")
-            return INTERRUPTED
-        display.results(self._metrics, RESULTS)
-        display.conclude(f"results in {self.folder}")
-        return DONE
-
     @property
     def _stopped(self) -> bool:
         return self._interruption.requested
 
     @property
     def _ended(self) -> bool:
-        return self._stopped or self.record.failure is not None
+        return self._stopped or bool(self.record.failures) or self.record.failure is not None
 
     def _take(self, frame: Frame, step: StepReport, started: float) -> None:
         """Add a processed frame to the record, and show it."""

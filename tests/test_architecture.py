@@ -39,8 +39,9 @@ ALLOWED: dict[str, set[str]] = {
     "config": {"types", "geometry", "io", "datasets", "console", *_SYSTEM},
     "console": {"io"},
     "messages": {"types", "io", "config", "datasets"},
+    "saving": {"console", "messages", "results"},
     "session": {"types", "runtime", "io", "datasets", "evaluation", "results"}
-    | {"config", "console", "messages", *_SYSTEM},
+    | {"config", "console", "messages", "saving", *_SYSTEM},
     "run": {"io", "datasets", "config", "console", "session"},
     "commands": {"types", "geometry", "runtime", "io", "datasets", "evaluation", *_SYSTEM},
 }  # fmt: skip

@@ -70,11 +70,12 @@ _IMAGE_FIGURES = (
 _OBJECT_FIGURES = ("pq", "sq", "rq", "objects_true", "objects_found")  # of all frames alone
 
 
-def metrics_of(record: RunRecord, *, wall_s: float, gaussians: int) -> dict[str, Any]:
+def metrics_of(record: RunRecord, *, wall_s: float, gaussians: int | None) -> dict[str, Any]:
     """Return the run's figures under their names in ``metrics.json``; None = not measured.
 
     ``fps`` is frames over the time of the tracking and mapping loop, refinement not counted; ``tracking_ms``
-    and ``mapping_ms`` are means per frame; ``wall_s`` runs from the command's start.
+    and ``mapping_ms`` are means per frame; ``wall_s`` runs from the command's start; ``failures`` has a line
+    for each part of the run that failed.
     """
     reports = record.reports
     ate, rpe, scale = _trajectory_errors(record)
@@ -111,6 +112,7 @@ def metrics_of(record: RunRecord, *, wall_s: float, gaussians: int) -> dict[str,
         "frames_lost": record.counts.get("frames_lost", 0),
         "frames_skipped": len(record.skipped),
         "peak_memory_mb": peak_memory_mb(),
+        "failures": list(record.failures),
     }
 
 

@@ -24,6 +24,7 @@ class RunRecord:
         loop_s: seconds from the first frame's arrival to the last one's end.
         refine_iterations, refine_s: spent on the map after the last frame.
         failure: what ended the run early; None: nothing did.
+        failures: one line for each part of the run that failed, ``failure`` included, in order.
         evaluation: pictures and objects against the frames; empty when not done.
     """
 
@@ -40,6 +41,7 @@ class RunRecord:
     refine_iterations: int = 0
     refine_s: float = 0.0
     failure: Exception | None = None
+    failures: list[str] = field(default_factory=list)
     evaluation: Evaluation = field(default_factory=Evaluation)
 
     def poses(self) -> dict[int, Float64]:

@@ -126,12 +126,18 @@ def write_trajectories(folder: Path, record: RunRecord) -> None:
         write_tum(folder / "trajectory_gt.txt", [r.timestamp for r in known], poses)
 
 
-def write_map(
-    folder: Path, gaussians: Gaussians, objects: list[ObjectRecord], classifier: LinearClassifier | None
-) -> None:
-    """Write ``map.ply``, ``objects.json`` and, where there are identities, ``classifier.npz``."""
+def write_map(folder: Path, gaussians: Gaussians) -> None:
+    """Write ``map.ply``."""
     write_ply(folder / "map.ply", gaussians)
+
+
+def write_objects(folder: Path, objects: list[ObjectRecord]) -> None:
+    """Write ``objects.json``."""
     write_json(folder / "objects.json", {"objects": [record.to_json() for record in objects]})
+
+
+def write_identities(folder: Path, classifier: LinearClassifier | None) -> None:
+    """Write ``classifier.npz`` where there are identities."""
     if classifier is not None:
         write_classifier(folder / "classifier.npz", classifier)
 
@@ -163,7 +169,9 @@ def write_system(folder: Path, system: System, names: dict[int, str]) -> None:
     poses = system.fitted_poses()
     write_trajectory(folder, [replace(r, T_wc=poses[r.index]) for r in system.reports])
     write_camera(folder / "camera.json", system.camera)
-    write_map(folder, system.map_arrays(), system.objects(names), system.linear_classifier())
+    write_map(folder, system.map_arrays())
+    write_objects(folder, system.objects(names))
+    write_identities(folder, system.linear_classifier())
 
 
 def write_frames(folder: Path, record: RunRecord) -> None:
