@@ -121,13 +121,13 @@ def data(root: Path) -> Iterator[Finding]:
         )
         return
     yield Finding("data root", str(root))
+    folders = sorted(p.name for p in root.iterdir() if p.is_dir())
+    loose = {"Replica": [], "TUM": [name for name in folders if name.startswith("rgbd_dataset_")]}
     for group, example in (("Replica", "replica office0"), ("TUM", "tum fr1/xyz")):
-        names = (
-            sorted(p.name for p in (root / group).iterdir() if p.is_dir()) if (root / group).is_dir() else []
-        )
-        remedy = "" if names else f"ggwarp download {example}"
-        yield Finding(group, ", ".join(names) or "none", remedy)
-    others = sorted(p.name for p in root.iterdir() if p.is_dir() and p.name not in ("Replica", "TUM"))
+        inside = sorted(p.name for p in (root / group).iterdir() if p.is_dir()) if group in folders else []
+        names = inside + loose[group]
+        yield Finding(group, ", ".join(names) or "none", "" if names else f"ggwarp download {example}")
+    others = [name for name in folders if name not in ("Replica", "TUM", *loose["TUM"])]
     if others:
         yield Finding("other folders", ", ".join(others))
 

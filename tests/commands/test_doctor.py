@@ -61,6 +61,9 @@ def test_the_data_root(tmp_path: Path) -> None:
     found = _by_subject(doctor.data(tmp_path))
     assert found["Replica"].state == "office0" and not found["Replica"].remedy
     assert found["TUM"].remedy == "ggwarp download tum fr1/xyz" and found["other folders"].state == "mine"
+    (tmp_path / "rgbd_dataset_freiburg1_xyz").mkdir()
+    found = _by_subject(doctor.data(tmp_path))
+    assert found["TUM"].state == "rgbd_dataset_freiburg1_xyz" and found["other folders"].state == "mine"
 
 
 def test_the_report_ends_with_what_matters(capsys: pytest.CaptureFixture[str]) -> None:
