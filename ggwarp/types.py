@@ -87,6 +87,7 @@ class FramePoints:
         quats: [n, 4] float32 rotation of each point's ellipse, camera frame, w first.
         spreads: [n, 3] float32 standard deviations of the point itself on the ellipse's axes, metres:
             free along the surface, the sensor's noise across it. What trackable points keep.
+        noise: [n] float32 standard deviation of each point's depth by the sensor's model, metres.
         distances2: [n] float32 squared distance to the nearest trackable Gaussian after
             registration, m^2; inf where none is within reach.
     """
@@ -94,6 +95,7 @@ class FramePoints:
     points: Float32
     quats: Float32
     spreads: Float32
+    noise: Float32
     distances2: Float32
 
     @property

@@ -127,6 +127,7 @@ class PeerTracker:
             points=points,
             quats=seen.quats.numpy(),
             spreads=seen.spreads.numpy(),
+            noise=seen.noise,
             distances2=distances2.astype(np.float32),
         )
         return TrackResult(T, Verdict.CONVERGED, points=observed, overlap=observed.overlap)

@@ -202,10 +202,15 @@ class GicpTracker:
         return _RegisteredPose(fit, self._distances2(seen, fit.T_wc))
 
     def _distances2(self, seen: Observation, T_wc: Float64) -> Float32:
-        """Return [n] squared distance of each point to the map, m^2; inf where nothing is near."""
+        """Return [n] squared distance of each point to the map, m^2; inf where nothing is near.
+
+        Near is within reach of the sampling, or within the sensor's own noise at that point.
+        """
         assert self._target is not None
-        reach = max(OVERLAP_DISTANCE, REACH * seen.spacing)
-        return match_distances2(seen.cloud, self._target, T_wc, radius=reach, device=self._device)
+        reach = np.maximum(seen.noise, max(OVERLAP_DISTANCE, REACH * seen.spacing))
+        farthest = float(reach.max(initial=0.0))
+        distances2 = match_distances2(seen.cloud, self._target, T_wc, radius=farthest, device=self._device)
+        return np.where(distances2 <= reach * reach, distances2, np.float32(np.inf))
 
     def _judge(self, found: _RegisteredPose, predicted: Float64) -> tuple[Verdict, str]:
         fit, overlap = found.fit, found.overlap
@@ -297,6 +302,7 @@ def _result(
         points=se3.transform_points(T_cd, to_host(seen.cloud.points)).astype(np.float32),
         quats=se3.rotate_quats(T_cd[:3, :3], to_host(seen.quats)).astype(np.float32),
         spreads=to_host(seen.spreads),
+        noise=seen.noise,
         distances2=np.full(seen.count, np.inf, np.float32) if distances2 is None else distances2,
     )
     return TrackResult(T_wd @ T_dc, verdict, reason, points, overlap=points.overlap)

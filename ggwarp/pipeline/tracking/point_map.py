@@ -22,7 +22,8 @@ class TrackableConfig:
     """How densely trackable points are laid."""
 
     distance: float = 0.025
-    """A keyframe's point becomes trackable when the map is farther from it than this, metres."""
+    """A keyframe's point becomes trackable when the map is farther from it than this, metres, and than the
+    sensor's noise there."""
 
 
 class TrackableMap:
@@ -51,7 +52,9 @@ class TrackableMap:
         """
         if points is None:
             raise ValueError("the tracker gives no points to track by: choose keyframes by covisibility")
-        new = points.distances2 > self._config.distance**2
+        # A reading within its own noise of the map says nothing new. Far ones, kept all the same, fill space
+        # with points: the nearest one is then close wherever the camera is, and motion is underestimated.
+        new = points.distances2 > np.maximum(self._config.distance, points.noise) ** 2
         self._means.append(se3.transform_points(T_wc, points.points[new]).astype(np.float32))
         self._quats.append(se3.rotate_quats(T_wc[:3, :3], points.quats[new]).astype(np.float32))
         self._spreads.append(points.spreads[new])

@@ -38,6 +38,10 @@ class ObservationConfig:
     noise_growth: float = 0.002
     """Growth of depth's standard deviation with squared distance, 1/metre: structured light and stereo."""
 
+    def depth_noise(self, z: Float32) -> Float32:
+        """Return the standard deviation of readings ``z`` (any shape), metres."""
+        return np.float32(self.noise_floor) + np.float32(self.noise_growth) * z * z
+
 
 @dataclass(frozen=True)
 class Observation:
@@ -51,6 +55,7 @@ class Observation:
         stride: pixels between samples.
         spacing: median distance between neighbouring points, metres.
         spreads: [n] wp.vec3, metres, along and across the surface: the cloud's covariances.
+        noise: [n] float32 on the host, metres, the sensor's standard deviation at each point.
     """
 
     cloud: Cloud
@@ -60,6 +65,7 @@ class Observation:
     stride: int
     spacing: float
     spreads: Any
+    noise: Float32
 
     @property
     def count(self) -> int:
@@ -97,12 +103,15 @@ def observe(image: Float32, camera: Camera, config: ObservationConfig, *, device
     )
     n = int(to_host(flags[-1:])[0] + to_host(slots[-1:])[0])
     points, pixels = points[:n], pixels[:n]
-    spacing = float(np.median(to_host(points)[:, 2])) * stride / camera.fx if n else 0.0
+    z = to_host(points)[:, 2]
+    spacing = float(np.median(z)) * stride / camera.fx if n else 0.0
     quats, scales = fit_ellipses(points, pixels, camera, stride=stride, k=_NEIGHBOURS, device=device)
     spreads = _spreads(points, scales, config, device)
     covariances = _empty(n, wp.mat33, device)
     covariance.build_covariances(quats, spreads, covariances=covariances, device=device)
-    return Observation(Cloud(points, covariances), quats, scales, pixels, stride, spacing, spreads)
+    return Observation(
+        Cloud(points, covariances), quats, scales, pixels, stride, spacing, spreads, config.depth_noise(z)
+    )
 
 
 def fit_ellipses(

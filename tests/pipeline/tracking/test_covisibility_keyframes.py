@@ -6,7 +6,7 @@ from ggwarp.pipeline.tracking.keyframe_policy import CovisibilityConfig, Covisib
 from ggwarp.types import Float64, FramePoints, TrackResult, Verdict
 
 CONFIG = CovisibilityConfig(interval=2, overlap=0.9, min_translation=0.02, translation=0.2)
-POINTS = FramePoints(*(np.zeros((1, n), np.float32) for n in (3, 4, 3)), np.zeros(1, np.float32))
+POINTS = FramePoints(*(np.zeros((1, n), np.float32) for n in (3, 4, 3)), *np.zeros((2, 1), np.float32))
 
 
 def at(x: float) -> Float64:

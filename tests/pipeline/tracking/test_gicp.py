@@ -225,9 +225,35 @@ def test_the_map_grows_by_what_is_new_only():
     old = session.map.snapshot()
     result = session.track(frame(6))
     added = session.map.add(result.points, result.T_wc)
-    assert added == (result.points.distances2 > TrackableConfig().distance ** 2).sum()
+    least = np.maximum(TrackableConfig().distance, result.points.noise)
+    assert added == (result.points.distances2 > least**2).sum()
     assert len(session.map) == first + added and session.map.snapshot().version == version + 1
     assert old.count == first
+
+
+def test_far_noise_is_matched_and_does_not_fill_space(rng):
+    z = 5.0
+    noise = float(CONFIG.depth_noise(np.float32(z)))
+    assert noise > 1.5 * gicp.OVERLAP_DISTANCE
+    walls = [z + noise * rng.standard_normal((CAMERA.height, CAMERA.width)) for _ in range(8)]
+
+    def grown(believed: float) -> tuple[int, TrackableMap, GicpTracker]:
+        """How many points the walls after the first add, the noise taken for so many times its size."""
+        tracker, trackable = GicpTracker(CONFIG, CAMERA), TrackableMap(TrackableConfig())
+        trackable.add(tracker.start(frame(0, walls[0].astype(np.float32)), pose(0)).points, pose(0))
+        first = len(trackable)
+        for i, wall in enumerate(walls[1:], 1):
+            seen = tracker.place(frame(i, wall.astype(np.float32)), trackable.snapshot(), pose(0)).points
+            assert seen.overlap > 0.95, "noise alone makes no keyframe"
+            trackable.add(replace(seen, noise=believed * seen.noise), pose(0))
+        return len(trackable) - first, trackable, tracker
+
+    added, trackable, tracker = grown(1.0)
+    assert added < 0.7 * grown(0.0)[0]
+    # What is new in front of the wall is let in.
+    walls[0][40:80, 60:100] = 4.6
+    seen = tracker.place(frame(9, walls[0].astype(np.float32)), trackable.snapshot(), pose(0)).points
+    assert trackable.add(seen, pose(0)) > 200
 
 
 def test_trackable_ellipses_lie_in_the_world():
