@@ -235,7 +235,6 @@ class Session:
         record, every = self.record, self.config.save_renders
         saved = {r.index for r in record.reports[::every]} if every else set()
         writer: RenderWriter | None = None
-        attempt = self._saver.attempt
 
         def on_view(frame: Frame, view: Rendered, score: FrameScore) -> None:
             self._display.advance()
