@@ -27,10 +27,10 @@ from ggwarp.io.toml import write_toml
 from ggwarp.pipeline.runner import SideError, run_steps
 from ggwarp.pipeline.scheduler import LiveScheduler, Scheduler, UncappedScheduler
 from ggwarp.pipeline.slam import Slam
-from ggwarp.results import run_folder
 from ggwarp.results.metrics import RESULTS
 from ggwarp.results.record import RunRecord
 from ggwarp.results.renders import RenderWriter
+from ggwarp.results.staging import StagedFolder
 from ggwarp.runtime import loading
 from ggwarp.saving import Saver
 from ggwarp.types import Frame, Rendered, StepReport, Verdict
@@ -48,7 +48,7 @@ class Session:
     Attributes:
         config: of the run; after :meth:`open`, with nothing left open.
         record: what the run has gathered so far, the map aside.
-        folder: where the results go.
+        folder: where the results go; None before :meth:`open`.
     """
 
     def __init__(
@@ -67,6 +67,7 @@ class Session:
             started: time.perf_counter() at the command's start; None: now.
         """
         self.config = config
+        self.folder: StagedFolder | None = None
         self._display = display
         self._interruption = interruption or Interruption()
         self._started = time.perf_counter() if started is None else started
@@ -77,16 +78,22 @@ class Session:
         Raises:
             ConfigError, DatasetError, OSError: it cannot be done as it is asked for.
         """
-        self.open()
-        self.prepare()
-        self.track_and_map()
-        self.refine()
-        self.save()
+        try:
+            self.open()
+            self.prepare()
+            self.track_and_map()
+            self.refine()
+            self.save()
+        except BaseException as error:
+            if self.folder is not None:
+                self.folder.name_target(error)
+                self.folder.discard()
+            raise
         self.evaluate()
         return self.show()
 
     def open(self) -> None:
-        """Find the data, resolve the configuration for it, and make the run folder."""
+        """Find the data, resolve the configuration for it, and look at where the results shall go."""
         asked, display = self.config, self._display
         display.note(f"ggwarp {ggwarp.__version__}: {asked.seq}, preset {asked.preset}")
         loading.init_quietly()
@@ -105,16 +112,15 @@ class Session:
         self._dataset = WithoutDepth(dataset) if config.slam.mono else dataset
         self._indices = frame_indices(config.frames, len(dataset))
         self._name = seq if dataset.kind == "synthetic" else dataset.name
-        self.folder = run_folder.create_run_folder(config.out, self._name)
-        write_toml(dataclasses.replace(config, out=None), self.folder / "config.toml")
+        self.folder = StagedFolder(config.out, self._name)
         for line in messages.introduction(asked, config, dataset, len(self._indices)):
             display.note(line)
 
     def prepare(self) -> None:
-        """Build the system and load its kernels."""
-        config, dataset = self.config, self._dataset
+        """Build the system, make the run folder and load the kernels."""
+        config, dataset, folder = self.config, self._dataset, self.folder
+        assert folder is not None, "open() comes first"
         self._reader = FrameReader(dataset, self._indices, scale=config.scale or 1.0)
-        write_camera(self.folder / "camera.json", self._reader.camera)
         self._slam = Slam(
             config.slam,
             self._reader.camera,
@@ -123,13 +129,17 @@ class Session:
             scheduler=_scheduler(config, len(self._indices)),
         )
         self._concurrent = _concurrent(config, self._slam)
+        for left in folder.create():  # nothing is refused any more
+            self._display.note(f"removed {left}, which a run that was killed had left")
+        write_toml(dataclasses.replace(config, out=None), folder.path / "config.toml")
+        write_camera(folder.path / "camera.json", self._reader.camera)
         load_kernels(config.device, self._display)
         # The objects of untracked masks are numbered by the map.
         names = getattr(dataset, "class_names", {}) if config.slam.masks_kind == "tracked" else {}
         self.record = RunRecord(
             self._name, dataset.kind, config.device, class_names=names, monocular=config.slam.mono
         )
-        self._saver = Saver(self.record, self.folder, self._display, self._started)
+        self._saver = Saver(self.record, folder, self._display, self._started)
 
     def track_and_map(self) -> None:
         """Process the frames; a failure of either side ends the loop and is kept in the record.
@@ -197,8 +207,7 @@ class Session:
     def save(self) -> None:
         """Write all but what comes of comparing pictures; a part that fails is said, the rest is written."""
         self._display.stage("saving")
-        self._saver.save_system(self._slam)
-        self._saver.save_tables()
+        self._saver.save(self._slam)
 
     def evaluate(self) -> None:
         """Compare the map with the frames, and add that to what is saved.
@@ -214,27 +223,28 @@ class Session:
 
     def show(self) -> int:
         """Say how the run ended, with its figures where it is complete; return the exit code."""
-        display, record = self._display, self.record
+        display, record, folder = self._display, self.record, self._saver.folder
         display.close()
         share = f"{len(record.reports)} of {len(self._indices)} frames"
         if record.failure is not None:
-            display.conclude(f"failed after {share}; saved in {self.folder}")
+            display.conclude(f"failed after {share}; saved in {folder}")
             return FAILED
         if self._stopped:
-            display.conclude(f"interrupted after {share}; saved in {self.folder}")
+            display.conclude(f"interrupted after {share}; saved in {folder}")
             return INTERRUPTED
         display.results(self._saver.metrics, RESULTS)
         if record.failures:
             count = len(record.failures)
-            display.conclude(f"{count} part{'s' * (count > 1)} failed; the rest is in {self.folder}")
+            display.conclude(f"{count} part{'s' * (count > 1)} failed; the rest is in {folder}")
             return FAILED
-        display.conclude(f"results in {self.folder}")
+        display.conclude(f"results in {folder}")
         return DONE
 
     def _compare(self) -> None:
         record, every = self.record, self.config.save_renders
         saved = {r.index for r in record.reports[::every]} if every else set()
         writer: RenderWriter | None = None
+        folder = self._saver.folder
 
         def on_view(frame: Frame, view: Rendered, score: FrameScore) -> None:
             self._display.advance()
@@ -246,7 +256,7 @@ class Session:
         def write(index: int, view: Rendered) -> None:
             nonlocal writer
             if writer is None:
-                writer = RenderWriter(self.folder / "renders", self._slam.map_arrays().identities)
+                writer = RenderWriter(folder / "renders", self._slam.map_arrays().identities)
             writer.write(index, view)
 
         evaluation = compare(

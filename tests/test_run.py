@@ -348,6 +348,45 @@ def test_no_space_left(scene, fake, monkeypatch, capsys):
     assert len(read_tum(Path("o/trajectory.txt"))[0]) == FRAMES and Path("o/objects.json").is_file()
 
 
+def _run_once(capsys) -> dict[str, bytes]:
+    """Make a run in ``o`` and return its files."""
+    assert run.main(["--seq", "room9", "--device", "cpu", "--out", "o"]) == 0
+    capsys.readouterr()
+    return {p.name: p.read_bytes() for p in Path("o").iterdir() if p.is_file()}
+
+
+def test_an_earlier_run_outlives_a_refusal(scene, fake, monkeypatch, capsys):
+    before = _run_once(capsys)
+    monkeypatch.setattr(fake, "sequential_only", True)
+    assert run.main(["--seq", "room9", "--device", "cpu", "--out", "o", "--pipelined", "on"]) == 2
+    for path in (scene / "results").glob("frame*.jpg"):
+        path.write_bytes(b"")
+    assert run.main(["--seq", "room9", "--device", "cpu", "--frames", "2:4", "--out", "o"]) == 2
+    assert before == {p.name: p.read_bytes() for p in Path("o").iterdir() if p.is_file()}
+    assert {p.name for p in Path().iterdir()} == {"data", "o"}
+
+
+def test_an_earlier_run_outlives_one_that_cannot_be_saved(scene, fake, monkeypatch, capsys):
+    before = _run_once(capsys)
+
+    def full(path, *arguments, **options):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+
+    monkeypatch.setattr(run_folder, "write_ply", full)
+    assert run.main(["--seq", "room9", "--device", "cpu", "--out", "o"]) == 1
+    assert before == {p.name: p.read_bytes() for p in Path("o").iterdir() if p.is_file()}
+    out, errors = capsys.readouterr()
+    assert out.splitlines()[-1] == "1 part failed; the rest is in o-incomplete"
+    assert "warning: the earlier run in o stays, as this one is not whole" in errors
+    assert len(read_tum(Path("o-incomplete/trajectory.txt"))[0]) == FRAMES
+
+
+def test_a_folder_of_other_files_is_left_alone(scene, fake, capsys):
+    assert run.main(["--seq", "room9", "--device", "cpu", "--out", "data"]) == 2
+    assert _only_line(capsys).startswith("ggwarp: data: holds other files and no run")
+    assert [p.name for p in Path("data").iterdir()] == ["Replica"]
+
+
 @pytest.mark.parametrize("part", ["evaluation", "saving renders"])
 def test_what_follows_the_saving_may_fail_alone(scene, fake, monkeypatch, capsys, part):
     def full(*arguments, **options):

@@ -8,9 +8,6 @@
 
 from __future__ import annotations
 
-import os
-import re
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -81,34 +78,6 @@ OBJECT_COLUMNS: tuple[str, ...] = (
     "iou_matched",
 )
 """Columns of ``object_scores.csv``, see :class:`ggwarp.evaluation.objects.ObjectRow`."""
-
-
-def create_run_folder(out: Path | None, sequence: str) -> Path:
-    """Make the folder of a run and return it; an earlier run's files in it are removed.
-
-    Args:
-        out: the folder; None: ``runs/<sequence>/<UTC time>``, with a link ``runs/latest``.
-
-    Raises:
-        OSError: it cannot be made or written to.
-    """
-    if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
-        _remove_outputs(out)
-        return out
-    stamp = time.strftime("%Y-%m-%dT%H-%M-%SZ", time.gmtime())
-    parent = Path("runs") / (re.sub(r"[^\w.-]+", "_", sequence) or "sequence")
-    parent.mkdir(parents=True, exist_ok=True)
-    folder, again = parent / stamp, 1
-    while True:
-        try:
-            folder.mkdir()
-            break
-        except FileExistsError:
-            again += 1
-            folder = parent / f"{stamp}-{again}"
-    _link_latest(folder)
-    return folder
 
 
 def write_trajectory(folder: Path, reports: Sequence[StepReport]) -> None:
@@ -203,21 +172,3 @@ def write_object_scores(folder: Path, record: RunRecord) -> None:
 def write_metrics(folder: Path, metrics: Mapping[str, Any]) -> None:
     """Write ``metrics.json``; what was not measured is null."""
     write_json(folder / "metrics.json", metrics)
-
-
-def _remove_outputs(folder: Path) -> None:
-    for name in OUTPUTS:
-        (folder / name).unlink(missing_ok=True)
-    for path in (folder / "renders").glob("frame[0-9]*_*.png"):
-        path.unlink()
-
-
-def _link_latest(folder: Path) -> None:
-    link = Path("runs") / "latest"
-    try:
-        if link.is_symlink():
-            link.unlink()
-        if not link.exists():
-            link.symlink_to(os.path.relpath(folder, link.parent), target_is_directory=True)
-    except OSError:
-        pass  # a file system without links: the run itself does not need it

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import csv
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -91,22 +90,3 @@ def test_map_and_objects(rng, tmp_path):
     objects = json.loads((tmp_path / "objects.json").read_text())["objects"]
     assert [(o["id"], o["count"], o["class"]) for o in objects] == [(5, 25, "chair")]
     np.testing.assert_array_equal(read_classifier(tmp_path / "classifier.npz").ids, [0, 5])
-
-
-def test_run_folders(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    one = run_folder.create_run_folder(None, "fr1/xyz")
-    two = run_folder.create_run_folder(None, "fr1/xyz")
-    assert one != two and one.parent == two.parent == Path("runs/fr1_xyz")
-    assert Path("runs/latest").resolve() == two.resolve()
-    given = run_folder.create_run_folder(Path("a/b"), "x")
-    assert given == Path("a/b") and given.is_dir()
-
-
-def test_an_earlier_run_leaves_nothing_behind(tmp_path):
-    (tmp_path / "renders").mkdir()
-    for name in ("trajectory_gt.txt", "renders/frame000007_rgb.png", "renders/mine.png", "notes.txt"):
-        (tmp_path / name).write_text("old")
-    run_folder.create_run_folder(tmp_path, "x")
-    left = {str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*") if p.is_file()}
-    assert left == {"renders/mine.png", "notes.txt"}
