@@ -34,7 +34,7 @@ def lock_folder(folder: Path) -> int | None:
 
 
 def in_use(folder: Path) -> bool:
-    """Return whether the program that locked ``folder`` lives; without locks, whether the one in its name does."""
+    """Return whether the program that locked ``folder`` lives; without locks, the one whose id it bears."""
     try:
         file = lock_folder(folder)
     except OSError:
