@@ -26,6 +26,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
 
 FAILED = 1
 USER_ERROR = 2
+INTERRUPTED = 130
 
 _LEVELS = {"-v": logging.DEBUG, "--verbose": logging.DEBUG, "-q": logging.WARNING, "--quiet": logging.WARNING}
 
@@ -61,6 +62,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         print(f"ggwarp: {error.name} is not installed; ggwarp doctor says how to get it", file=sys.stderr)
         return USER_ERROR
+    except KeyboardInterrupt:
+        print("ggwarp: interrupted", file=sys.stderr)
+        return INTERRUPTED
     except BrokenPipeError:  # what was to read has gone: head, a pager
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILED

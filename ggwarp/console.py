@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the command shows: progress, notes, warnings, the closing table; and how it hears Ctrl-C.
+"""What the command shows: progress, notes, warnings, the closing table.
 
 On a terminal a live progress line and a table; elsewhere plain lines, one every few seconds, and
 ``key value`` at the end. Results and progress go to standard output, warnings and errors to standard error.
@@ -9,12 +9,13 @@ never taken for markup, and its control characters are shown as escapes.
 
 from __future__ import annotations
 
+import contextlib
 import logging
-import signal
+import os
+import sys
 import time
 from enum import Enum
-from types import FrameType, TracebackType
-from typing import Any, Protocol
+from typing import IO, Any, Protocol, cast
 
 from rich.console import Console
 from rich.progress import (
@@ -75,7 +76,8 @@ class Display(Protocol):
 
 def open_display(verbosity: Verbosity = Verbosity.NORMAL) -> Display:
     """Return the display that suits standard output, and let it show what the library logs."""
-    output, errors = Console(), Console(stderr=True)
+    output = Console(file=cast(IO[str], _Lasting(sys.stdout)))
+    errors = Console(file=cast(IO[str], _Lasting(sys.stderr)))
     display: Display
     if verbosity is Verbosity.QUIET:
         display = QuietDisplay(output, errors)
@@ -106,28 +108,33 @@ class _LogHandler(logging.Handler):
         show(record.getMessage())
 
 
-class Interruption:
-    """Turns the first Ctrl-C into a request to stop after the current step; a second one kills."""
+class _Lasting:
+    """A stream that may go away: a closed terminal or pipe ends no run, what is written is then dropped."""
 
-    requested = False
+    def __init__(self, stream: IO[str]) -> None:
+        self._stream = stream
 
-    def __enter__(self) -> Interruption:
+    def write(self, text: str) -> int:
         try:
-            self._previous = signal.signal(signal.SIGINT, self._request)
-        except ValueError:  # not the main thread: signals are the caller's business
-            self._previous = None
-        return self
+            return self._stream.write(text)
+        except OSError:
+            self._drop()
+            return len(text)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._previous is not None:
-            signal.signal(signal.SIGINT, self._previous)
+    def flush(self) -> None:
+        try:
+            self._stream.flush()
+        except OSError:
+            self._drop()
 
-    def _request(self, number: int, frame: FrameType | None) -> None:
-        if self.requested:
-            raise KeyboardInterrupt
-        self.requested = True
+    def _drop(self) -> None:
+        with contextlib.suppress(OSError, ValueError):
+            sink = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(sink, self._stream.fileno())
+            os.close(sink)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
 
 
 class PlainDisplay:

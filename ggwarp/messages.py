@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import traceback
 from collections.abc import Iterator, Sequence
@@ -57,12 +58,13 @@ def explain(what: str, reason: BaseException) -> str:
     Returns:
         The line that was said.
     """
-    if not isinstance(reason, (DatasetError, OSError, MemoryError)):
-        traceback.print_exception(reason)
     if isinstance(reason, OSError) and reason.strerror:
         why = f"{reason.filename}: {reason.strerror}" if reason.filename else reason.strerror
     else:
         why = f"{type(reason).__name__}: {reason}" if str(reason) else type(reason).__name__
     line = printable(f"{what}: {why}")
-    print(f"ggwarp: {line}", file=sys.stderr)
+    with contextlib.suppress(OSError):  # the terminal may have gone
+        if not isinstance(reason, (DatasetError, OSError, MemoryError)):
+            traceback.print_exception(reason)
+        print(f"ggwarp: {line}", file=sys.stderr)
     return line

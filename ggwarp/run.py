@@ -3,33 +3,55 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import time
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-from ggwarp.config import ConfigError
-from ggwarp.config.command_line import parse
-from ggwarp.console import Display, Interruption, open_display
-from ggwarp.datasets import DatasetError
+from ggwarp.interruption import Interruption
 from ggwarp.io.printable import printable
-from ggwarp.session import Session
+
+if TYPE_CHECKING:
+    from ggwarp.console import Display
 
 USER_ERROR = 2
-INTERRUPTED = 130
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code.
 
-    0; 1: a failure on the way, what there was is saved; 2: the user's mistake; 130: Ctrl-C.
+    0; 1: a failure on the way, what there was is saved; 2: the user's mistake; 130, 143, 129: SIGINT, SIGTERM
+    or SIGHUP ended it.
     """
     started = time.perf_counter()
+    with Interruption() as interruption:
+        try:
+            return _main(sys.argv[1:] if arguments is None else list(arguments), interruption, started)
+        except BaseException as error:
+            # A library that is interrupted while it is imported may say so in its own way.
+            if isinstance(error, KeyboardInterrupt) or (
+                interruption.requested and interruption.at_once and not isinstance(error, SystemExit)
+            ):
+                return _refuse(None, "interrupted; nothing was saved", interruption.exit_code)
+            raise
+
+
+def _main(arguments: list[str], interruption: Interruption, started: float) -> int:
+    # Here, not above: importing them takes seconds, in which the command can be interrupted, too.
+    from ggwarp.config import ConfigError
+    from ggwarp.config.command_line import parse
+    from ggwarp.console import open_display
+    from ggwarp.datasets import DatasetError
+    from ggwarp.session import Session
+
     display: Display | None = None
     try:
-        command = parse(sys.argv[1:] if arguments is None else list(arguments))
+        if interruption.requested:
+            raise KeyboardInterrupt
+        command = parse(arguments)
         display = open_display(command.verbosity)
-        with Interruption() as interruption:
-            return Session(command.run, display, interruption, started=started).run()
+        return Session(command.run, display, interruption, started=started).run()
     except (ConfigError, DatasetError) as error:
         return _refuse(display, str(error))
     except MemoryError:
@@ -37,14 +59,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         return _refuse(display, f"{where}{error.strerror or error}")
-    except KeyboardInterrupt:
-        return _refuse(display, "interrupted; nothing was saved", INTERRUPTED)
+    finally:
+        if display is not None:
+            display.close()
 
 
 def _refuse(display: Display | None, message: str, code: int = USER_ERROR) -> int:
     if display is not None:
         display.close()
-    print(f"ggwarp: {printable(message)}", file=sys.stderr)
+    with contextlib.suppress(OSError):  # the terminal may have gone
+        print(f"ggwarp: {printable(message)}", file=sys.stderr)
     return code
 
 

@@ -3,15 +3,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import itertools
+import signal
 import time
 from collections.abc import Iterator
 
 import ggwarp
 from ggwarp import messages
-from ggwarp.config import ConfigError, RunConfig, frame_indices, resolve_config
-from ggwarp.console import Display, Interruption
+from ggwarp.config import RunConfig, frame_indices, resolve_config
+from ggwarp.console import Display
 from ggwarp.datasets import (
     BadFrame,
     DatasetError,
@@ -22,11 +24,13 @@ from ggwarp.datasets import (
 from ggwarp.evaluation.evaluate import FrameScore
 from ggwarp.evaluation.evaluate import evaluate as compare
 from ggwarp.evaluation.image import open_lpips
+from ggwarp.interruption import Interruption
 from ggwarp.io.camera import write_camera
 from ggwarp.io.toml import write_toml
 from ggwarp.pipeline.runner import SideError, run_steps
 from ggwarp.pipeline.scheduler import LiveScheduler, Scheduler, UncappedScheduler
 from ggwarp.pipeline.slam import Slam
+from ggwarp.preparation import load_kernels, works_concurrently
 from ggwarp.results.metrics import RESULTS
 from ggwarp.results.record import RunRecord
 from ggwarp.results.renders import RenderWriter
@@ -35,7 +39,7 @@ from ggwarp.runtime import loading
 from ggwarp.saving import Saver
 from ggwarp.types import Frame, Rendered, StepReport, Verdict
 
-DONE, FAILED, INTERRUPTED = 0, 1, 130
+DONE, FAILED = 0, 1
 """Exit codes."""
 
 _KEPT_BYTES = 1 << 29  # frames held for the evaluation instead of being read again
@@ -63,7 +67,7 @@ class Session:
 
         Args:
             config: checked, see :func:`ggwarp.config.check`.
-            interruption: tells of Ctrl-C; None: there is none.
+            interruption: tells of signals; None: they are the caller's.
             started: time.perf_counter() at the command's start; None: now.
         """
         self.config = config
@@ -73,7 +77,7 @@ class Session:
         self._started = time.perf_counter() if started is None else started
 
     def run(self) -> int:
-        """Run it and return the exit code: 0, 1 (failed on the way) or 130 (interrupted).
+        """Run it and return the exit code: 0, 1 (failed on the way), or that of the signal.
 
         Raises:
             ConfigError, DatasetError, OSError: it cannot be done as it is asked for.
@@ -89,7 +93,8 @@ class Session:
                 self.folder.name_target(error)
                 self.folder.discard()
             raise
-        self.evaluate()
+        with contextlib.suppress(KeyboardInterrupt):  # the run is saved
+            self.evaluate()
         return self.show()
 
     def open(self) -> None:
@@ -120,7 +125,9 @@ class Session:
         """Build the system, make the run folder and load the kernels."""
         config, dataset, folder = self.config, self._dataset, self.folder
         assert folder is not None, "open() comes first"
-        self._reader = FrameReader(dataset, self._indices, scale=config.scale or 1.0)
+        self._reader = FrameReader(
+            dataset, self._indices, scale=config.scale or 1.0, stopped=lambda: self._stopped
+        )
         self._slam = Slam(
             config.slam,
             self._reader.camera,
@@ -128,7 +135,7 @@ class Session:
             device=config.device,
             scheduler=_scheduler(config, len(self._indices)),
         )
-        self._concurrent = _concurrent(config, self._slam)
+        self._concurrent = works_concurrently(config, self._slam)
         for left in folder.create():  # nothing is refused any more
             self._display.note(f"removed {left}, which a run that was killed had left")
         write_toml(dataclasses.replace(config, out=None), folder.path / "config.toml")
@@ -149,6 +156,7 @@ class Session:
             KeyboardInterrupt: it was interrupted before the first one.
         """
         reader, record = self._reader, self.record
+        self._interruption.at_once = False
         size = len(reader) * reader.camera.width * reader.camera.height * _FRAME_BYTES
         self._kept: list[Frame] = []  # for the evaluation; empty where they are too many to hold
         self._display.stage("frames", len(reader))
@@ -178,7 +186,7 @@ class Session:
             raise DatasetError(f"{self._dataset.name}: no frame could be used; the first: {first}")
 
     def refine(self) -> None:
-        """Fit the finished map some iterations more; Ctrl-C ends that early and the run goes on.
+        """Fit the finished map some iterations more; Ctrl-C alone ends that early, and the run goes on.
 
         Not after an interrupted or failed run. A failure is kept in the record.
         """
@@ -196,8 +204,8 @@ class Session:
                 record.refine_iterations += 1
                 self._display.advance()
             record.refine_s = time.perf_counter() - started
-            if self._stopped:
-                self._interruption.requested = False
+            if self._interruption.number == signal.SIGINT:
+                self._interruption.forget()
                 done = f"{record.refine_iterations} of {iterations} iterations"
                 self._display.note(f"refinement ended after {done}")
         if record.failure is not None:  # said first: what follows may fail for the same reason
@@ -207,7 +215,8 @@ class Session:
     def save(self) -> None:
         """Write all but what comes of comparing pictures; a part that fails is said, the rest is written."""
         self._display.stage("saving")
-        self._saver.save(self._slam)
+        with self._interruption.held():
+            self._saver.save(self._slam)
 
     def evaluate(self) -> None:
         """Compare the map with the frames, and add that to what is saved.
@@ -219,7 +228,8 @@ class Session:
         self._display.stage("evaluating", len(self.record.reports))
         self._saver.attempt("evaluation", self._compare)
         self._display.stage("saving")
-        self._saver.save_tables()
+        with self._interruption.held():
+            self._saver.save_tables()
 
     def show(self) -> int:
         """Say how the run ended, with its figures where it is complete; return the exit code."""
@@ -231,7 +241,7 @@ class Session:
             return FAILED
         if self._stopped:
             display.conclude(f"interrupted after {share}; saved in {folder}")
-            return INTERRUPTED
+            return self._interruption.exit_code
         display.results(self._saver.metrics, RESULTS)
         if record.failures:
             count = len(record.failures)
@@ -299,32 +309,8 @@ class Session:
             yield from (f for f in reader if isinstance(f, Frame))
 
 
-def load_kernels(device: str, display: Display) -> None:
-    """Load every kernel imported so far, and say so when they must be compiled first."""
-    modules = loading.imported_kernel_modules(device)
-    cold = loading.uncompiled(modules, device)
-    display.stage(f"compiling kernels (first run only): {len(cold)} modules" if cold else "loading kernels")
-    loading.load(modules, device)
-
-
 def _scheduler(config: RunConfig, frames: int) -> Scheduler | None:
     """Return what paces the run; None: a fixed amount of mapping a frame."""
     if config.fps is None:
         return None
     return UncappedScheduler() if config.fps == "uncapped" else LiveScheduler(config.fps, frames=frames)
-
-
-def _concurrent(config: RunConfig, slam: Slam) -> bool:
-    """Return whether to track beside the mapper.
-
-    Raises:
-        ConfigError: it is asked for, but tracking needs what is being mapped.
-    """
-    if config.pipelined == "on" and slam.sequential_only:
-        raise ConfigError(
-            "--pipelined on: here tracking looks at the Gaussians being mapped, and works in turn with "
-            "mapping; leave the option out"
-        )
-    if config.pipelined == "auto":
-        return config.fps == "uncapped" and not slam.sequential_only
-    return config.pipelined == "on"

@@ -40,9 +40,11 @@ ALLOWED: dict[str, set[str]] = {
     "console": {"io"},
     "messages": {"types", "io", "config", "datasets"},
     "saving": {"console", "messages", "results"},
+    "interruption": set(),
+    "preparation": {"config", "console", "runtime", *_SYSTEM},
     "session": {"types", "runtime", "io", "datasets", "evaluation", "results"}
-    | {"config", "console", "messages", "saving", *_SYSTEM},
-    "run": {"io", "datasets", "config", "console", "session"},
+    | {"config", "console", "interruption", "preparation", "messages", "saving", *_SYSTEM},
+    "run": {"io", "datasets", "config", "console", "interruption", "session"},
     "commands": {"types", "geometry", "runtime", "io", "datasets", "evaluation", *_SYSTEM},
 }  # fmt: skip
 """Room -> the rooms it may import (itself aside). A room is a folder and all in it, or a file at the top."""

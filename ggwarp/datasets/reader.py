@@ -5,9 +5,10 @@ from __future__ import annotations
 
 import queue
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from types import TracebackType
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -16,6 +17,11 @@ from ggwarp.datasets.base import Dataset, DatasetError, FrameError, at_scale
 from ggwarp.datasets.resize import reduce_depth, resize_nearest
 from ggwarp.geometry.camera import Camera
 from ggwarp.types import Frame
+
+T = TypeVar("T")
+
+_INTERVAL = 0.1
+"""Seconds after which one who waits looks whether to go on."""
 
 _PATIENCE = 5.0
 """Seconds that the frame being read may take to come, when no more are wanted."""
@@ -45,7 +51,13 @@ class FrameReader:
     """
 
     def __init__(
-        self, dataset: Dataset, indices: Sequence[int], *, scale: float = 1.0, ahead: int = 4
+        self,
+        dataset: Dataset,
+        indices: Sequence[int],
+        *,
+        scale: float = 1.0,
+        ahead: int = 4,
+        stopped: Callable[[], bool] = lambda: False,
     ) -> None:
         """Prepare to read; the thread starts with the first iteration.
 
@@ -54,6 +66,7 @@ class FrameReader:
             scale: image scale in (0, 1]: colour, depth and mask are resampled, and
                 ``Frame.sensor_depth`` keeps the native depth where that is larger.
             ahead: frames held ready.
+            stopped: asked while a frame is waited for, whether to end without it.
 
         Raises:
             DatasetError: ``scale`` is out of range.
@@ -68,6 +81,7 @@ class FrameReader:
         """The camera of ``sensor_depth``: native size, or twice the frames' where they are rendered."""
         self._indices = list(indices)
         self._ahead = ahead
+        self._stopped = stopped
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
 
@@ -92,7 +106,7 @@ class FrameReader:
         """
         self._stop.set()
         if self._thread is not None:
-            self._thread.join(_PATIENCE)
+            self._thread.join(_INTERVAL if self._stopped() else _PATIENCE)
 
     def __iter__(self) -> Iterator[Frame | BadFrame]:
         self.close()
@@ -103,7 +117,9 @@ class FrameReader:
         )
         self._thread.start()
         for _ in self._indices:
-            item = ready.get()
+            while (item := _within(ready, _INTERVAL)) is None:
+                if self._stopped():
+                    return
             if isinstance(item, BaseException):
                 raise item
             yield item
@@ -120,12 +136,20 @@ class FrameReader:
                 item = error
             while not stop.is_set():
                 try:
-                    ready.put(item, timeout=0.1)
+                    ready.put(item, timeout=_INTERVAL)
                     break
                 except queue.Full:
                     continue
             if isinstance(item, BaseException):
                 return
+
+
+def _within(ready: queue.Queue[T], seconds: float) -> T | None:
+    """Return the next item; None where none comes in time."""
+    try:
+        return ready.get(timeout=seconds)
+    except queue.Empty:
+        return None
 
 
 def resized(frame: Frame, camera: Camera) -> Frame:

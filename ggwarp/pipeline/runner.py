@@ -30,6 +30,10 @@ AHEAD = 3
 """TrackedFrame frames that may wait for the mapper."""
 
 
+_PATIENCE, _INTERVAL = 4.0, 0.1
+"""Seconds that a thread may take to end, and after which one who waits for it looks again."""
+
+
 class SideError(RuntimeError):
     """One side of the system failed: reading, tracking or mapping; ``__cause__`` has the reason."""
 
@@ -58,7 +62,7 @@ def run_steps(
         waiting = None
         if concurrent:
             stack.enter_context(slam.in_two_threads())
-            source = stack.enter_context(_Ahead(source, AHEAD, halted))
+            source = stack.enter_context(_Ahead(source, AHEAD, halted, stopped))
             waiting = source.waiting
         try:
             for item, tracked in source:
@@ -121,10 +125,12 @@ def _tracked(
 class _Ahead(Generic[T]):
     """Runs an iterator in a thread of its own, a few items ahead."""
 
-    def __init__(self, source: Iterator[T], ahead: int, halted: threading.Event) -> None:
-        """``halted`` is set to end ``source``, which asks for it."""
+    def __init__(
+        self, source: Iterator[T], ahead: int, halted: threading.Event, stopped: Callable[[], bool]
+    ) -> None:
+        """``halted`` is set to end ``source``, which asks for it; so does it for ``stopped``."""
         self._source = source
-        self._halted = halted
+        self._halted, self._stopped = halted, stopped
         self._queue: queue.Queue[tuple[T] | BaseException | None] = queue.Queue(ahead)
         self._thread = threading.Thread(target=self._run, name="ggwarp-tracking", daemon=True)
         self._ended = False
@@ -143,7 +149,7 @@ class _Ahead(Generic[T]):
         self._halted.set()
         while not self._ended:  # the thread may be waiting for room
             self._take()
-        self._thread.join()
+        self._thread.join(_PATIENCE)
 
     def __iter__(self) -> Iterator[T]:
         while (taken := self._take()) is not None:
@@ -152,7 +158,15 @@ class _Ahead(Generic[T]):
             yield taken[0]
 
     def _take(self) -> tuple[T] | BaseException | None:
-        taken = self._queue.get()
+        """Return the next item, or the end: also where a thread that is to end hangs."""
+        taken, left = None, _PATIENCE
+        while left > 0.0:
+            try:
+                taken = self._queue.get(timeout=_INTERVAL)
+                break
+            except queue.Empty:
+                if self._halted.is_set() or self._stopped():
+                    left -= _INTERVAL
         self._ended = not isinstance(taken, tuple)
         return taken
 

@@ -7,12 +7,15 @@ beforehand uses all cores, can be announced, and keeps threads from compiling at
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import importlib.util
 import os
 import pkgutil
 import sys
 import tempfile
+import threading
+import time
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -29,6 +32,10 @@ ONE_DEVICE = {
     "raster.tiles_parallel": "cuda",
 }
 """Modules whose kernels run on one kind of device only."""
+
+
+_PATIENCE = 4.0
+"""Seconds that modules in hand may take to compile when the loading is interrupted."""
 
 
 class ArchitectureError(ValueError):
@@ -116,9 +123,39 @@ def compile_for(arch: int) -> tuple[int, int]:
 
 
 def load(modules: list[Any], device: Any) -> None:
-    """Load ``modules`` on ``device``, compiling what is not in the cache, on all cores."""
-    if modules:
-        wp.force_load(device=device, modules=modules, max_workers=os.cpu_count() or 1)
+    """Load ``modules`` on ``device``, compiling what is not in the cache, on all cores.
+
+    When it is interrupted no module is begun any more, and those in hand are waited for a while: a compiler
+    that works on while the program ends may crash it.
+    """
+    waiting, ended, errors = list(reversed(modules)), threading.Event(), list[BaseException]()
+
+    def work() -> None:
+        with contextlib.suppress(IndexError):  # none is left
+            while not ended.is_set():
+                module = waiting.pop()
+                try:
+                    wp.force_load(device=device, modules=[module], max_workers=0)
+                except BaseException as error:
+                    errors.append(error)
+                    ended.set()
+
+    count = min(os.cpu_count() or 1, len(modules))
+    # Daemons, not a pool: the program would wait for a pool's whole queue before it ends.
+    threads = [threading.Thread(target=work, name="ggwarp-load", daemon=True) for _ in range(count)]
+    for thread in threads:
+        thread.start()
+    try:
+        for thread in threads:
+            thread.join()
+    except BaseException:
+        ended.set()
+        deadline = time.monotonic() + _PATIENCE
+        for thread in threads:
+            thread.join(max(0.0, deadline - time.monotonic()))
+        raise
+    if errors:
+        raise errors[0]
 
 
 def init_quietly() -> None:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from ggwarp.datasets.built_in.synthetic import SyntheticOffice
+from ggwarp.pipeline import runner
 from ggwarp.pipeline.mapping import optimiser
 from ggwarp.pipeline.mapping.mapper import MapperConfig
 from ggwarp.pipeline.runner import AHEAD, SideError, run_steps
@@ -153,6 +154,24 @@ def test_the_tracker_runs_ahead_but_not_far() -> None:
     steps.close()  # an abandoned loop leaves no thread behind
     assert not [t for t in threading.enumerate() if t.name == "ggwarp-tracking"]
     assert len(sides.tracked) < 50
+
+
+def test_a_stop_does_not_wait_for_a_side_that_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(runner, "_PATIENCE", 0.3)
+    answer, waits = threading.Event(), threading.Event()
+
+    def source() -> Any:
+        yield frame(0)
+        waits.set()
+        answer.wait()
+
+    sides = Sides()
+    steps = run_steps(sides, source(), concurrent=True, stopped=waits.is_set)  # pyright: ignore[reportArgumentType]
+    assert [item.index for item, _ in steps] == [0]
+    answer.set()
+    for thread in threading.enumerate():
+        if thread.name == "ggwarp-tracking":
+            thread.join()
 
 
 OFFICE = SyntheticOffice(scale=0.15)

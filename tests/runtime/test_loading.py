@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+import json
 import os
 import subprocess
 import sys
@@ -33,6 +34,28 @@ def test_an_empty_cache_is_noticed_and_filled(tmp_path):
     assert "ggwarp.kernels.registration.gicp" not in names.split()  # nothing has imported it
     assert (int(before), int(after)) == (len(names.split()), 0)
     assert _run(_COLD_AND_WARM, WARP_CACHE_PATH=str(tmp_path)).stdout.splitlines()[1] == "0"
+
+
+_INTERRUPTED = """
+import os, signal, time
+from ggwarp.runtime import loading
+begun = []
+def slow(modules, **options):
+    begun.extend(modules)
+    if len(begun) == 2:
+        os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(0.5)
+loading.wp.force_load = slow
+os.cpu_count = lambda: 2
+try:
+    loading.load(list(range(50)), "cpu")
+except KeyboardInterrupt:
+    print(begun)
+"""
+
+
+def test_an_interrupted_loading_begins_no_more_modules():
+    assert len(json.loads(_run(_INTERRUPTED).stdout)) == 2
 
 
 def test_warp_starts_without_a_word():

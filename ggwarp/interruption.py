@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How the command hears Ctrl-C, and that it is to end: a run stops after its step, and is saved."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import time
+from collections.abc import Iterator
+from types import FrameType, TracebackType
+from typing import Any
+
+_PATIENCE = 5.0
+"""Seconds after the first signal in which another one is taken for the same."""
+
+
+class Interruption:
+    """Turns the first SIGINT, SIGTERM or SIGHUP into a request to stop after the current step.
+
+    While :attr:`at_once` holds, as long as there is nothing to save, it raises KeyboardInterrupt instead. So
+    does a later signal, for a step that does not end; not while something is being saved.
+
+    Attributes:
+        number: the first signal's; None: none came.
+        at_once: whether the first signal raises.
+    """
+
+    def __init__(self) -> None:
+        self.number: int | None = None
+        self.at_once = True
+        self._asked_at = 0.0
+        self._held = False
+        self._previous: dict[int, Any] = {}
+
+    @property
+    def requested(self) -> bool:
+        """Whether to stop."""
+        return self.number is not None
+
+    @property
+    def exit_code(self) -> int:
+        """The exit code of a program that the signal ended: 130, 143 or 129."""
+        return 128 + (self.number or signal.SIGINT)
+
+    def forget(self) -> None:
+        """Take the request as done."""
+        self.number = None
+
+    @contextlib.contextmanager
+    def held(self) -> Iterator[None]:
+        """Let nothing end the block early: a request is kept until it is done."""
+        self._held = True
+        try:
+            yield
+        finally:
+            self._held = False
+
+    def __enter__(self) -> Interruption:
+        for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+            number = getattr(signal, name, None)
+            # nohup has SIGHUP ignored, and means it.
+            if number is None or (name == "SIGHUP" and signal.getsignal(number) is signal.SIG_IGN):
+                continue
+            try:
+                self._previous[number] = signal.signal(number, self._request)
+            except ValueError:  # not the main thread: signals are the caller's business
+                break
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for number, previous in self._previous.items():
+            signal.signal(number, signal.SIG_DFL if previous is None else previous)
+        self._previous.clear()
+
+    def _request(self, number: int, frame: FrameType | None) -> None:
+        first = self.number is None
+        if first:
+            self.number, self._asked_at = number, time.monotonic()
+        late = time.monotonic() - self._asked_at > _PATIENCE
+        if not self._held and (self.at_once or late):
+            raise KeyboardInterrupt
