@@ -14,6 +14,9 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "ggwarp"
 FILES = sorted(PACKAGE.rglob("*.py"))
+EVERY_FILE = [
+    p for top in ("ggwarp", "tools", "tests", "examples") for p in sorted((ROOT / top).rglob("*.py"))
+]
 
 _VALUES = {"types", "geometry"}
 _DEVICE = _VALUES | {"runtime", "kernels"}
@@ -118,7 +121,7 @@ def test_only_ops_need_torch() -> None:
     assert users <= {"ops", "evaluation", "commands"}, "evaluation: for LPIPS alone; commands: segmenters"
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
+@pytest.mark.parametrize("path", EVERY_FILE, ids=lambda p: str(p.relative_to(ROOT)))
 def test_files_are_one_room(path: Path) -> None:
     lines = path.read_text().splitlines()
     assert lines[0] == "# SPDX-License-Identifier: Apache-2.0"
