@@ -14,6 +14,10 @@ _PATIENCE = 5.0
 """Seconds after the first signal in which another one is taken for the same."""
 
 
+class Interrupted(KeyboardInterrupt):
+    """Raised by a signal. Where KeyboardInterrupt itself has passed, Python may end the program by SIGINT."""
+
+
 class Interruption:
     """Turns the first SIGINT, SIGTERM or SIGHUP into a request to stop after the current step.
 
@@ -80,4 +84,4 @@ class Interruption:
             self.number, self._asked_at = number, time.monotonic()
         late = time.monotonic() - self._asked_at > _PATIENCE
         if not self._held and (self.at_once or late):
-            raise KeyboardInterrupt
+            raise Interrupted

@@ -64,6 +64,24 @@ def test_nohup_is_meant() -> None:
         signal.signal(signal.SIGHUP, before)
 
 
+_IN_EXEC = """
+import os, signal, sys
+from ggwarp.interruption import Interruption
+with Interruption() as asked:
+    try:
+        exec("os.kill(os.getpid(), signal.SIGTERM)")
+    except KeyboardInterrupt:
+        sys.exit(asked.exit_code)
+"""
+
+
+def test_the_exit_code_is_the_signal_s_wherever_it_came(tmp_path: Path) -> None:
+    (tmp_path / "asked.py").write_text(_IN_EXEC)
+    environment = {**os.environ, "PYTHONPATH": str(Path(ggwarp.__file__).parents[1])}
+    done = subprocess.run([sys.executable, "-m", "asked"], cwd=tmp_path, env=environment)
+    assert done.returncode == 143
+
+
 @pytest.mark.parametrize("number", SIGNALS, ids=lambda n: n.name)
 def test_while_it_is_imported(tmp_path: Path, number: signal.Signals) -> None:
     """A library that takes long to import stands in for a slow disk."""
