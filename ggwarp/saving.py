@@ -45,8 +45,9 @@ class Saver:
         if len(self._record.failures) > before and self._folder.replaces_a_run:
             self._display.warn(f"the earlier run in {self._folder.target} stays, as this one is not whole")
             self.attempt("moving what was saved", self._folder.keep_apart)
-        else:
-            self.attempt("moving the run to its place", self._folder.publish)
+        elif not self.attempt("moving the run to its place", self._folder.publish):
+            # Under its own name the next run does not take it for what a killed one left.
+            self.attempt("moving what was saved", self._folder.keep_apart)
 
     def _save_system(self, slam: run_folder.System) -> None:
         """Write the trajectory, and the map with its objects and what tells them apart."""

@@ -15,7 +15,7 @@ from fake_slam import FRAMES, only_line
 from ggwarp import run, session
 from ggwarp.io.ply import read_ply
 from ggwarp.io.trajectory import read_tum
-from ggwarp.results import run_folder
+from ggwarp.results import run_folder, staging
 from ggwarp.results.saved_run import load_run
 
 
@@ -62,6 +62,22 @@ def test_an_earlier_run_outlives_one_that_cannot_be_saved(scene, fake, monkeypat
     assert out.splitlines()[-1] == "1 part failed; the rest is in o-incomplete"
     assert "warning: the earlier run in o stays, as this one is not whole" in errors
     assert len(read_tum(Path("o-incomplete/trajectory.txt"))[0]) == FRAMES
+
+
+def test_a_run_that_cannot_take_its_place_is_kept_under_its_own_name(scene, fake, monkeypatch, capsys):
+    before = _run_once(capsys)
+
+    def busy(new, target):
+        raise OSError(errno.EBUSY, os.strerror(errno.EBUSY), str(target))
+
+    with monkeypatch.context() as patched:
+        patched.setattr(staging, "_exchange", busy)
+        assert run.main(["--seq", "room9", "--device", "cpu", "--out", "o"]) == 1
+    assert before == {p.name: p.read_bytes() for p in Path("o").iterdir() if p.is_file()}
+    assert "the rest is in o-incomplete" in capsys.readouterr().out
+    assert len(read_tum(Path("o-incomplete/trajectory.txt"))[0]) == FRAMES
+    _run_once(capsys)
+    assert Path("o-incomplete/map.ply").is_file(), "the next run into the same folder leaves it"
 
 
 def test_a_folder_of_other_files_is_left_alone(scene, fake, capsys):
