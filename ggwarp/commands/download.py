@@ -33,7 +33,7 @@ from rich.progress import (
 )
 
 from ggwarp.commands.archives import DownloadError, NoRoomError, check_room, unpack
-from ggwarp.datasets.tum import full_name
+from ggwarp.datasets.readers.tum import full_name
 from ggwarp.io.printable import printable
 
 REPLICA_URL = "https://cvg-data.inf.ethz.ch/nice-slam/data/Replica.zip"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sequences of RGB-D frames: Replica, TUM RGB-D, plain folders, the built-in scenes."""
+"""Sequences of RGB-D frames: opening one, plain folders, what all layouts share."""
 
 from __future__ import annotations
 
@@ -42,6 +42,8 @@ __all__ = [
 
 BUILT_IN = ("office", "synthetic", "wall")
 """Names that always mean a built-in scene: the wall, or the office."""
+OWN_KINDS = ("readers.replica", "readers.tum", "folder")
+"""The modules of the layouts that are read, in the order they are tried."""
 FALLBACK = "office0"
 """The one sequence that the built-in office stands in for where Replica is absent."""
 
@@ -110,13 +112,12 @@ def open_dataset(
 
 def _kinds() -> list[Kind]:
     """Return the kinds in the order they are tried: the more particular first."""
-    own = [importlib.import_module(f"ggwarp.datasets.{name}").KIND for name in ("replica", "tum", "folder")]
-    return [*KINDS, *own]
+    return [*KINDS, *(importlib.import_module(f"ggwarp.datasets.{name}").KIND for name in OWN_KINDS)]
 
 
 def _candidates(seq: str, root: Path) -> list[Path]:
     """Return where ``seq`` may lie, in the order it is looked for."""
-    from ggwarp.datasets.tum import full_name
+    from ggwarp.datasets.readers.tum import full_name
 
     given = Path(seq)
     with contextlib.suppress(RuntimeError):  # ~ of nobody who is known here
@@ -136,7 +137,7 @@ def _no_intrinsics(what: str, intrinsics: Intrinsics | None) -> None:
 
 
 def _video(path: Path, intrinsics: Intrinsics | None) -> Dataset:
-    from ggwarp.datasets.video import VIDEO_SUFFIXES, VideoSequence
+    from ggwarp.datasets.readers.video import VIDEO_SUFFIXES, VideoSequence
 
     if path.suffix.lower() not in VIDEO_SUFFIXES:
         raise DatasetError(

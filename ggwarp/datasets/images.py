@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggwarp.datasets.base import DatasetError, FrameError
-from ggwarp.datasets.image_headers import PNG_SIGNATURE, size_in_header
-from ggwarp.datasets.jpeg import JPEG_SIGNATURE, JpegError, check_codes, check_markers, may_lack_data
+from ggwarp.datasets.formats.headers import PNG_SIGNATURE, size_in_header
+from ggwarp.datasets.formats.jpeg import JPEG_SIGNATURE, JpegError, check_codes, check_markers, may_lack_data
 from ggwarp.io import guarded
 from ggwarp.types import Float32
 

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggwarp.datasets.base import Dataset, DatasetError, FrameError, Masks, at_scale
-from ggwarp.datasets.image_headers import PNG_SIGNATURE
+from ggwarp.datasets.formats.headers import PNG_SIGNATURE
 from ggwarp.datasets.images import decode, png_chunks, read_bytes
 from ggwarp.datasets.resize import resize_nearest
 from ggwarp.geometry.camera import Camera

@@ -47,7 +47,7 @@ class FileSequence:
     """A :class:`ggwarp.datasets.base.Dataset` read from image files.
 
     Colour (and masks, drawn on colour) are undistorted where the calibration has a distortion;
-    depth is not: see :mod:`ggwarp.datasets.tum`.
+    depth is not: see :mod:`ggwarp.datasets.readers.tum`.
     """
 
     def __init__(

@@ -12,8 +12,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from ggwarp.datasets import FrameError
+from ggwarp.datasets.formats.jpeg import JpegError, check_codes, check_markers
 from ggwarp.datasets.images import read_colour, read_depth
-from ggwarp.datasets.jpeg import JpegError, check_codes, check_markers
 from ggwarp.datasets.masks import read_mask
 
 HEIGHT, WIDTH = 37, 51

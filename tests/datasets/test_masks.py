@@ -12,7 +12,7 @@ import pytest
 
 from ggwarp.datasets import DatasetError, FrameError, open_dataset
 from ggwarp.datasets.masks import find_masks, read_mask, write_mask
-from ggwarp.datasets.replica import open_sequence
+from ggwarp.datasets.readers.replica import open_sequence
 
 Maker = Callable[..., Path]
 IDS = np.array([[0, 1, 2, 3], [7, 7, 0, 14]])

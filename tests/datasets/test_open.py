@@ -13,7 +13,7 @@ from ggwarp.datasets import KINDS, Dataset, DatasetError, Kind, open_dataset, re
 from ggwarp.datasets.base import at_scale
 from ggwarp.datasets.built_in.faults import SensorFaults
 from ggwarp.datasets.masks import write_mask
-from ggwarp.datasets.tum import full_name
+from ggwarp.datasets.readers.tum import full_name
 
 Maker = Callable[..., Path]
 

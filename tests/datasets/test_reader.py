@@ -13,7 +13,7 @@ import pytest
 
 from ggwarp.datasets import BadFrame, DatasetError, FrameReader, open_dataset
 from ggwarp.datasets import reader as reader_module
-from ggwarp.datasets.replica import open_sequence
+from ggwarp.datasets.readers.replica import open_sequence
 from ggwarp.geometry.camera import Camera
 from ggwarp.types import Frame
 

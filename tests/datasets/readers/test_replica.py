@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from ggwarp.datasets import DatasetError, FrameError, open_dataset
-from ggwarp.datasets.replica import open_sequence
+from ggwarp.datasets.readers.replica import open_sequence
 from ggwarp.geometry import se3
 
 Maker = Callable[..., Path]

@@ -8,7 +8,7 @@ import struct
 from pathlib import Path
 
 from ggwarp.datasets.base import FrameError
-from ggwarp.datasets.jpeg import JPEG_SIGNATURE, jpeg_size
+from ggwarp.datasets.formats.jpeg import JPEG_SIGNATURE, jpeg_size
 from ggwarp.io.camera import MAX_PIXELS, MAX_SIDE
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"

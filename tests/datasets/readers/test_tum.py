@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ggwarp.datasets import DatasetError, FrameError, open_dataset
-from ggwarp.datasets.tum import POSE_GAP, POSE_TOLERANCE, interpolated, nearest, open_sequence
+from ggwarp.datasets.readers.tum import POSE_GAP, POSE_TOLERANCE, interpolated, nearest, open_sequence
 from ggwarp.geometry import se3
 
 Maker = Callable[..., Path]
