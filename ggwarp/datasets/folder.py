@@ -19,7 +19,7 @@ from ggwarp.datasets.calibration import (
     given_camera,
     read_calibration,
 )
-from ggwarp.datasets.images import COLOUR_SUFFIXES, image_size
+from ggwarp.datasets.images import COLOUR_SUFFIXES, DEPTH_SUFFIXES, image_size
 from ggwarp.datasets.poses import read_matrices, read_matrix
 from ggwarp.datasets.sequence import Entry, FileSequence, image_files, match_by_number, match_poses
 from ggwarp.types import Float64
@@ -49,7 +49,7 @@ def open_sequence(path: Path, masks: Masks = None, intrinsics: Intrinsics | None
     colour = image_files(folder) if folder else []
     if not colour:
         raise DatasetError(f"{path}: the sequence is empty (no images in {', '.join(COLOUR_FOLDERS)})")
-    depth = image_files(path / "depth") if (path / "depth").is_dir() else []
+    depth = image_files(path / "depth", suffixes=DEPTH_SUFFIXES) if (path / "depth").is_dir() else []
     size = image_size(colour[:3])
     if intrinsics is not None or not (depth or _camera_file(path)):
         calibration = Calibration(given_camera(path, size, intrinsics), _DEPTH_SCALE)

@@ -13,15 +13,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggwarp.datasets.base import DatasetError, FrameError
-from ggwarp.datasets.formats.headers import PNG_SIGNATURE, size_in_header
-from ggwarp.datasets.formats.jpeg import JPEG_SIGNATURE, JpegError, check_codes, check_markers, may_lack_data
+from ggwarp.datasets.formats.arrays import NPY_SIGNATURE, ZIP_SIGNATURE, read_exr, read_numpy
+from ggwarp.datasets.formats.headers import EXR_SIGNATURE, PNG_SIGNATURE, size_in_header
+from ggwarp.datasets.formats.jpeg import (
+    JPEG_SIGNATURE,
+    JpegError,
+    check_codes,
+    check_markers,
+    may_lack_data,
+    quarter_turns,
+)
 from ggwarp.io import guarded
 from ggwarp.types import Float32
 
 Size = tuple[int, int]
 """Width and height, pixels."""
 
-COLOUR_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".ppm")
+COLOUR_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".ppm", ".pgm", ".tif", ".tiff")
+DEPTH_SUFFIXES = (".png", ".pgm", ".tif", ".tiff", ".exr", ".npy", ".npz")
 _NO_READING = 65535
 """A saturated 16-bit reading is none (Kinect recordings mark holes with it, too)."""
 
@@ -34,7 +43,7 @@ class WrongSizeError(FrameError):
     """
 
     def __init__(self, path: Path, found: Size, wanted: Size) -> None:
-        super().__init__(f"{path}: {found[0]}x{found[1]}, but {wanted[0]}x{wanted[1]} is needed")
+        super().__init__(f"{path}: {shown_size(found)}, but {shown_size(wanted)} is needed")
         self.found = found
 
 
@@ -48,15 +57,30 @@ def read_bytes(path: Path, size: Size | None = None) -> bytes:
         FrameError: the file is missing, no regular file, empty, truncated, of another size, or fails its
             checksums.
     """
+    data = _file_bytes(path)
+    found = size_in_header(data, path)
+    if size is not None and found != size:
+        raise WrongSizeError(path, found, size)
+    check_whole(data, path)
+    return data
+
+
+def _file_bytes(path: Path) -> bytes:
     try:
         data = guarded.read_bytes(path, guarded.IMAGE)
     except guarded.FileError as error:
         raise FrameError(str(error)) from error
     if not data:
         raise FrameError(f"{path}: is empty; copy it again")
-    found = size_in_header(data, path)
-    if size is not None and found != size:
-        raise WrongSizeError(path, found, size)
+    return data
+
+
+def check_whole(data: bytes, path: Path) -> None:
+    """Check what of a PNG's or JPEG's wholeness shows without decoding it.
+
+    Raises:
+        FrameError: it is truncated, or fails its checksums.
+    """
     if data.startswith(PNG_SIGNATURE):
         for _ in png_chunks(data, path):
             pass
@@ -65,7 +89,6 @@ def read_bytes(path: Path, size: Size | None = None) -> bytes:
             check_markers(data)
         except JpegError as error:
             raise FrameError(f"{path}: {error} after {len(data)} bytes; copy it again") from error
-    return data
 
 
 def png_chunks(data: bytes, path: Path) -> Iterator[tuple[bytes, bytes]]:
@@ -110,39 +133,90 @@ def decode(data: bytes, path: Path, flags: int) -> NDArray:
 
 
 def read_colour(path: Path, size: Size | None = None) -> NDArray[np.uint8]:
-    """Return the colour image [h, w, 3] uint8, RGB.
+    """Return the colour image [h, w, 3] uint8, RGB, of any depth of 8 or 16 bits, grey or with alpha.
 
     Args:
-        size: (width, height) that it should have, pixels; None: any.
+        size: (width, height) that it should have, pixels; None: any. A picture that has it only once turned
+            by a quarter as its EXIF says is turned.
 
     Raises:
         FrameError: the file is missing, damaged, no image or of another size.
     """
+    return decode_colour(_file_bytes(path), path, size)
+
+
+def decode_colour(data: bytes, path: Path, size: Size | None = None) -> NDArray[np.uint8]:
+    """Do what :func:`read_colour` does, of a file's bytes; ``path`` is for messages."""
+    found = size_in_header(data, path)
+    turns = 0
+    if size is not None and found != size:
+        turns = quarter_turns(data) if found == size[::-1] else 0
+        if not turns:
+            raise WrongSizeError(path, found, size)
+    check_whole(data, path)
     # Depth and calibration follow the sensor's pixels, so the EXIF orientation must not.
-    image = decode(read_bytes(path, size), path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8)
+    image = decode(data, path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    if size_of(image) != found:
+        raise FrameError(
+            f"{path}: decodes to {shown_size(size_of(image))}, but claims to be {shown_size(found)}"
+        )
+    image = cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+    return np.ascontiguousarray(np.rot90(image, turns) if turns else image, np.uint8)
 
 
 def read_depth(path: Path, *, scale: float, size: Size | None = None) -> Float32:
     """Return the depth image [h, w] float32, metres; 0 = no reading.
+
+    Whole numbers are of 16 bits or more (PNG, PGM, TIFF, NumPy), in units of 1 / ``scale`` metres; 65535
+    is no reading. Floating point (EXR, TIFF, NumPy) is metres, whatever ``scale``, and what is not finite is
+    no reading.
 
     Args:
         scale: raw value / scale = metres.
         size: (width, height) that it should have, pixels; None: any.
 
     Raises:
-        FrameError: the file is missing, damaged, of another size, or not a one-channel 16-bit image.
+        FrameError: the file is missing, damaged, of another size, or not one channel of such numbers.
     """
-    raw = decode(read_bytes(path, size), path, cv2.IMREAD_UNCHANGED)
-    if raw.ndim != 2 or raw.dtype != np.uint16:
+    return decode_depth(_file_bytes(path), path, scale=scale, size=size)
+
+
+def decode_depth(data: bytes, path: Path, *, scale: float, size: Size | None = None) -> Float32:
+    """Do what :func:`read_depth` does, of a file's bytes; EXR is read from ``path`` itself."""
+    if data.startswith((NPY_SIGNATURE, ZIP_SIGNATURE)):
+        raw = read_numpy(data, path)
+        found = size_of(raw)
+    else:
+        found = size_in_header(data, path)
+        if size is not None and found != size:
+            raise WrongSizeError(path, found, size)
+        check_whole(data, path)
+        raw = read_exr(path) if data.startswith(EXR_SIGNATURE) else decode(data, path, cv2.IMREAD_UNCHANGED)
+    if size_of(raw) != (size or found):
+        raise WrongSizeError(path, size_of(raw), size or found)
+    if raw.ndim == 2 and raw.dtype.kind == "f":
+        depth = raw.astype(np.float32)
+        depth[~(np.isfinite(depth) & (depth > 0.0))] = 0.0
+        return depth
+    if raw.ndim != 2 or raw.dtype.kind not in "ui" or raw.dtype.itemsize < 2:
         channels = 1 if raw.ndim == 2 else raw.shape[2]
         raise FrameError(
-            f"{path}: {channels} channel(s) of {raw.dtype}; depth must be one channel of uint16 "
-            "(export the raw depth, not its colouring)"
+            f"{path}: {channels} channel(s) of {raw.dtype}; depth must be one channel of uint16, or of "
+            "metres in floating point (export the raw depth, not its colouring)"
         )
     depth = np.divide(raw, scale, dtype=np.float32)
-    depth[raw == _NO_READING] = 0.0
+    depth[(raw < 0) | (raw == _NO_READING)] = 0.0
     return depth
+
+
+def size_of(image: NDArray) -> Size:
+    """Return the (width, height) of an image [h, w, ...]."""
+    return image.shape[1], image.shape[0]
+
+
+def shown_size(size: Size) -> str:
+    """Return a size as messages have it: 640x480."""
+    return f"{size[0]}x{size[1]}"
 
 
 def image_size(paths: list[Path]) -> Size:
@@ -154,8 +228,7 @@ def image_size(paths: list[Path]) -> Size:
     first: FrameError | None = None
     for path in paths:
         try:
-            height, width = read_colour(path).shape[:2]
-            return width, height
+            return size_of(read_colour(path))
         except FrameError as error:
             first = first or error
     raise DatasetError(str(first))

@@ -193,14 +193,12 @@ def frame_number(path: Path) -> int | None:
     return int(numbers[-1]) if numbers else None
 
 
-def image_files(folder: Path, prefix: str = "") -> list[Path]:
-    """Return the images in ``folder`` whose names start with ``prefix``, by number, then name."""
+def image_files(folder: Path, prefix: str = "", suffixes: Sequence[str] = COLOUR_SUFFIXES) -> list[Path]:
+    """Return ``folder``'s files of ``suffixes``, whose names start with ``prefix``, by number, then name."""
     files = [
         path
         for path in folder.iterdir()
-        if path.suffix.lower() in COLOUR_SUFFIXES
-        and path.name.startswith(prefix)
-        and not path.name.startswith(".")
+        if path.suffix.lower() in suffixes and path.name.startswith(prefix) and not path.name.startswith(".")
     ]
 
     def order(path: Path) -> tuple[list[int], str]:

@@ -9,6 +9,7 @@ values.
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -19,6 +20,7 @@ JPEG_SIGNATURE = b"\xff\xd8"
 _END = 0xD9
 _START_OF_SCAN = 0xDA
 _TABLES = 0xC4
+_EXIF = 0xE1
 _RESTARTS = range(0xD0, 0xD8)
 _ALONE = {0x01, 0xD8, *_RESTARTS}  # markers without a content
 _FRAMES = {*range(0xC0, 0xD0)} - {_TABLES, 0xC8, 0xCC}
@@ -52,6 +54,30 @@ def jpeg_size(data: bytes) -> tuple[int, int] | None:
     except JpegError:
         pass
     return None
+
+
+def quarter_turns(data: bytes) -> int:
+    """Return how many quarters, counter-clockwise, the EXIF orientation turns the picture: 1, 3, else 0."""
+    try:
+        for segment in _segments(data) if data.startswith(JPEG_SIGNATURE) else ():
+            if segment.marker == _EXIF and segment.content.startswith(b"Exif\x00\x00"):
+                return {6: 3, 8: 1}.get(_orientation(segment.content[6:]), 0)
+            if segment.marker == _START_OF_SCAN:
+                break
+    except (JpegError, struct.error):
+        pass
+    return 0
+
+
+def _orientation(tiff: bytes) -> int:
+    """Return tag 274 of the first directory of an EXIF block; 1 where there is none."""
+    order = "<" if tiff.startswith(b"II") else ">"
+    (at,) = struct.unpack_from(order + "I", tiff, 4)
+    (count,) = struct.unpack_from(order + "H", tiff, at)
+    for entry in range(at + 2, at + 2 + 12 * count, 12):
+        if struct.unpack_from(order + "H", tiff, entry)[0] == 274:
+            return struct.unpack_from(order + "H", tiff, entry + 8)[0]
+    return 1
 
 
 def check_markers(data: bytes) -> None:
