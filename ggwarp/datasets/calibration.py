@@ -10,11 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from ggwarp.datasets.base import DatasetError
+from ggwarp.datasets.rig import Lens, Rig
 from ggwarp.datasets.text import read_numbers
 from ggwarp.geometry.camera import Camera
 from ggwarp.io import guarded
 from ggwarp.io.camera import camera_fault, finite_number, size_fault
 from ggwarp.io.printable import shown
+from ggwarp.types import Float64
 
 CAMERA_FILES = (
     "camera.json",
@@ -44,11 +46,30 @@ class Calibration:
         camera: the pinhole camera, at native size.
         depth_scale: raw depth / depth_scale = metres.
         distortion: the colour lens's OpenCV coefficients (k1 k2 p1 p2 [k3 ...]); empty = none.
+        depth: the depth pictures' own lens; None: they show what the colour camera does, at any size.
+        T_colour_depth: [4, 4] takes points of the depth camera to the colour camera; None: the same place.
+        depth_distorted: whether depth without a lens of its own is bent as the colour is.
     """
 
     camera: Camera
     depth_scale: float
     distortion: tuple[float, ...] = ()
+    depth: Lens | None = None
+    T_colour_depth: Float64 | None = None
+    depth_distorted: bool = False
+
+    def rig(self) -> Rig:
+        """Return what makes frames of the pictures.
+
+        Raises:
+            DatasetError: the distortion leaves nothing of the picture.
+        """
+        return Rig(
+            Lens(self.camera, self.distortion),
+            depth=self.depth,
+            T_colour_depth=self.T_colour_depth,
+            depth_distorted=self.depth_distorted,
+        )
 
 
 def given_camera(path: Path, size: tuple[int, int], intrinsics: Intrinsics | None) -> Camera:

@@ -209,6 +209,20 @@ def decode_depth(data: bytes, path: Path, *, scale: float, size: Size | None = N
     return depth
 
 
+def read_confidence(path: Path) -> NDArray[np.uint8]:
+    """Return a depth image's confidence [h, w] uint8, as the file has it.
+
+    Raises:
+        FrameError: the file is missing, damaged, or not one channel of uint8.
+    """
+    image = decode(read_bytes(path), path, cv2.IMREAD_UNCHANGED)
+    if image.ndim != 2 or image.dtype != np.uint8:
+        raise FrameError(
+            f"{path}: is of {image.dtype} with {image.ndim} axes; confidence is one channel of uint8"
+        )
+    return image
+
+
 def size_of(image: NDArray) -> Size:
     """Return the (width, height) of an image [h, w, ...]."""
     return image.shape[1], image.shape[0]

@@ -82,3 +82,44 @@ def _nearest_to_centre(depth: Float32, rows: NDArray[np.intp], columns: NDArray[
             best[closer] = distance[closer]
             out[closer] = reading[closer]
     return out
+
+
+def sample_depth(depth: Float32, u: Float32, v: Float32) -> Float32:
+    """Return ``depth`` at positions between pixels, never mixing two surfaces.
+
+    Between four valid readings that agree to 2 % it is bilinear; else it is the nearest pixel's.
+
+    Args:
+        depth: [H, W] metres, 0 = no reading.
+        u, v: [h, w] columns and rows in ``depth``; integers are pixel centres.
+
+    Returns:
+        [h, w] metres; 0 = no reading, or outside.
+    """
+    valid = depth > 0.0
+    far = np.where(valid, depth, np.float32(np.inf))
+    # Of the four pixels whose top left one this is; the last row and column stand for themselves.
+    lowest, highest = _of_four(np.minimum, far), _of_four(np.maximum, depth)
+    agree = highest - lowest < _AGREEMENT * lowest
+    constant = cv2.BORDER_CONSTANT
+    nearest = cv2.remap(depth, u, v, cv2.INTER_NEAREST, borderMode=constant)
+    between = cv2.remap(depth, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    top_left = [np.floor(position).astype(np.float32) for position in (u, v)]
+    good = cv2.remap(agree.astype(np.uint8), *top_left, cv2.INTER_NEAREST, borderMode=constant)
+    return np.where((good > 0) & (nearest > 0.0), between, nearest)
+
+
+def _of_four(ufunc: np.ufunc, image: Float32) -> Float32:
+    right = ufunc(image, np.concatenate([image[:, 1:], image[:, -1:]], axis=1))
+    return ufunc(right, np.concatenate([right[1:], right[-1:]], axis=0))
+
+
+def enlarge_depth(depth: Float32, width: int, height: int) -> Float32:
+    """Return ``depth`` [H, W] metres of the same view at [height, width], by :func:`sample_depth`."""
+    if depth.shape == (height, width):
+        return depth
+    u = (np.arange(width, dtype=np.float32) + 0.5) * (depth.shape[1] / width) - 0.5
+    v = (np.arange(height, dtype=np.float32) + 0.5) * (depth.shape[0] / height) - 0.5
+    # The outermost half pixel repeats the border.
+    u, v = np.clip(u, 0, depth.shape[1] - 1), np.clip(v, 0, depth.shape[0] - 1)
+    return sample_depth(depth, *np.meshgrid(u.astype(np.float32), v.astype(np.float32)))

@@ -5,23 +5,53 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
+from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ggwarp.datasets.base import DatasetError, FrameError, Masks
 from ggwarp.datasets.calibration import Calibration
-from ggwarp.datasets.images import COLOUR_SUFFIXES, Size, WrongSizeError, read_colour, read_depth
+from ggwarp.datasets.images import (
+    COLOUR_SUFFIXES,
+    Size,
+    WrongSizeError,
+    read_colour,
+    read_confidence,
+    read_depth,
+    shown_size,
+    size_of,
+)
 from ggwarp.datasets.masks import find_masks, find_true_masks
 from ggwarp.geometry.camera import Camera
 from ggwarp.io.camera import camera_fault
 from ggwarp.io.guarded import FileError, inside
 from ggwarp.types import Float32, Float64, Frame
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture without a file of its own: in a video, an archive, a bag.
+
+    Attributes:
+        path: what messages name, such as ``scan.r3d/rgbd/12.jpg``.
+        read: returns colour [h, w, 3] uint8 RGB, depth [h, w] float32 metres, or confidence [h, w] uint8;
+            raises FrameError.
+    """
+
+    path: Path
+    read: Callable[[], NDArray[Any]]
+
+    @property
+    def stem(self) -> str:
+        """What the picture is called, as a file's stem."""
+        return self.path.stem
+
+    def __str__(self) -> str:
+        return str(self.path)
 
 
 @dataclass(frozen=True)
@@ -34,20 +64,24 @@ class Entry:
         timestamp: seconds.
         T_wc: [4, 4] true camera-to-world pose, when known.
         depth_timestamp: seconds, when the depth was taken; None: together with the colour.
+        camera: the colour camera of this frame, where it is another than the sequence's.
+        confidence: an image of the depth's size that says how far each reading is to be trusted.
     """
 
-    rgb: Path
-    depth: Path | None
+    rgb: Path | Picture
+    depth: Path | Picture | None
     timestamp: float
     T_wc: Float64 | None = None
     depth_timestamp: float | None = None
+    camera: Camera | None = None
+    confidence: Path | Picture | None = None
 
 
 class FileSequence:
     """A :class:`ggwarp.datasets.base.Dataset` read from image files.
 
-    Colour (and masks, drawn on colour) are undistorted where the calibration has a distortion;
-    depth is not: see :mod:`ggwarp.datasets.readers.tum`.
+    Colour (and masks, drawn on colour) are undistorted where the calibration has a distortion, and depth is
+    brought onto colour's pixels: see :mod:`ggwarp.datasets.rig`.
     """
 
     def __init__(
@@ -58,8 +92,12 @@ class FileSequence:
         calibration: Calibration,
         *,
         masks: Masks = None,
+        least_confidence: int = 1,
     ) -> None:
         """Open the sequence.
+
+        Args:
+            least_confidence: depth of less is left out, where frames have a confidence.
 
         Raises:
             DatasetError: there is no frame, no frame is usable, or ``masks`` is wrong.
@@ -72,13 +110,15 @@ class FileSequence:
         self._root = root
         self._entries = list(entries)
         self._scale = calibration.depth_scale
-        self._calibration = calibration
+        self._rig = calibration.rig()
+        self._least_confidence = least_confidence
         self.stems = [entry.rgb.stem for entry in entries]
         """Each frame's name, as its mask has it."""
         self._masks = find_masks(root, self.stems, masks)
         self._true_masks = find_true_masks(root, self.stems, self._masks)
         self.has_depth = any(entry.depth for entry in entries)
         self.has_masks = self._masks is not None
+        self._depth_size: Size | None = None  # that of the first that is read
         self._probe()
         if fault := camera_fault(**dataclasses.asdict(self.camera)):
             raise DatasetError(f"{root}: its camera cannot be right: {fault}")
@@ -90,16 +130,12 @@ class FileSequence:
         if not 0 <= index < len(self._entries):
             raise IndexError(index)
         entry = self._entries[index]
-        size = width, height = self.camera.width, self.camera.height
-        rgb = self._colour(entry, size)
-        depth = self._depth(entry, size)
-        mask = self._masks.read(index, width, height) if self._masks else None
-        truth = self._true_masks.read(index, width, height) if self._true_masks else None
-        if self._undistort:  # from here on: a picture has the size that the camera file claims
-            rgb = self._undistort.colour(rgb)
-            mask, truth = self._undistort.labels(mask), self._undistort.labels(truth)
-            if depth is not None:
-                depth = np.where(self._undistort.seen, depth, np.float32(0.0))
+        taken = entry.camera or self.camera
+        rgb = self._rig.colour(self._colour(entry, (taken.width, taken.height)), entry.camera)
+        depth = self._depth(entry)
+        mask = self._masks.read(index, taken.width, taken.height) if self._masks else None
+        truth = self._true_masks.read(index, taken.width, taken.height) if self._true_masks else None
+        mask, truth = (self._rig.labels(labels, entry.camera) for labels in (mask, truth))
         return Frame(
             index,
             entry.timestamp,
@@ -113,29 +149,47 @@ class FileSequence:
 
     def _colour(self, entry: Entry, size: Size) -> NDArray[np.uint8]:
         try:
-            return read_colour(self._inside(entry.rgb), size)
+            if isinstance(entry.rgb, Path):
+                return read_colour(self._inside(entry.rgb), size)
+            rgb = entry.rgb.read()
+            if size_of(rgb) != size:
+                raise WrongSizeError(entry.rgb.path, size_of(rgb), size)
+            return rgb
         except WrongSizeError as error:
             raise FrameError(
                 f"{entry.rgb}: {error.found[0]}x{error.found[1]}, but the camera file says "
                 f"{size[0]}x{size[1]}; correct the camera file, or export the image again"
             ) from None
 
-    def _depth(self, entry: Entry, size: Size) -> Float32 | None:
+    def _depth(self, entry: Entry) -> Float32 | None:
         if not self.has_depth:
             return None
         if entry.depth is None:
             raise FrameError(f"{entry.rgb}: there is no depth image of this frame")
-        try:
-            return read_depth(self._inside(entry.depth), scale=self._scale, size=size)
-        except WrongSizeError as error:
+        if isinstance(entry.depth, Path):
+            depth = read_depth(self._inside(entry.depth), scale=self._scale)
+        else:
+            depth = entry.depth.read()
+        if not self._rig.fits(*size_of(depth)):
+            raise FrameError(f"{entry.depth}: {shown_size(size_of(depth))}, but {self._rig.wanted_depth}")
+        if size_of(depth) != (self._depth_size or size_of(depth)):
             raise FrameError(
-                f"{entry.depth}: {error.found[0]}x{error.found[1]}, but the colour is {size[0]}x{size[1]}; "
-                "export the depth registered to the colour camera"
-            ) from None
+                f"{entry.depth}: {shown_size(size_of(depth))}, but other depth images are "
+                f"{shown_size(self._depth_size)}; export it again"
+            )
+        self._depth_size = size_of(depth)
+        if entry.confidence is not None:
+            depth = self._confident(depth, entry.confidence)
+        return self._rig.depth(depth, entry.camera)
 
-    @cached_property
-    def _undistort(self) -> _Undistortion | None:
-        return _Undistortion(self._calibration) if self._calibration.distortion else None
+    def _confident(self, depth: Float32, source: Path | Picture) -> Float32:
+        """Return ``depth`` without the readings that are not to be trusted."""
+        confidence = read_confidence(self._inside(source)) if isinstance(source, Path) else source.read()
+        if confidence.shape != depth.shape:
+            raise FrameError(
+                f"{source}: {shown_size(size_of(confidence))}, but the depth is {shown_size(size_of(depth))}"
+            )
+        return np.where(confidence >= self._least_confidence, depth, np.float32(0.0))
 
     def _inside(self, path: Path) -> Path:
         try:
@@ -154,37 +208,6 @@ class FileSequence:
             except FrameError as error:
                 first_error = first_error or error
         raise DatasetError(str(first_error))
-
-
-class _Undistortion:
-    """Resamples colour and labels to the pinhole camera of the same focal lengths and centre."""
-
-    def __init__(self, calibration: Calibration) -> None:
-        camera = calibration.camera
-        K = camera.matrix
-        coefficients = np.array(calibration.distortion)
-        size = (camera.width, camera.height)
-        self._u, self._v = cv2.initUndistortRectifyMap(K, coefficients, np.eye(3), K, size, cv2.CV_32FC1)
-        self.seen = (
-            (self._u >= 0.0)
-            & (self._u <= camera.width - 1.0)
-            & (self._v >= 0.0)
-            & (self._v <= camera.height - 1.0)
-        )
-        """[h, w] where the undistorted picture has colour at all."""
-        if not self.seen.any():
-            shown = " ".join(f"{value:g}" for value in calibration.distortion)
-            raise DatasetError(f"distortion {shown}: leaves nothing of the picture; correct the camera file")
-
-    def colour(self, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        return np.asarray(cv2.remap(rgb, self._u, self._v, cv2.INTER_LINEAR), np.uint8)
-
-    def labels(self, mask: NDArray[np.int32] | None) -> NDArray[np.int32] | None:
-        if mask is None:
-            return None
-        rows = np.rint(np.where(self.seen, self._v, 0.0)).astype(np.intp)
-        columns = np.rint(np.where(self.seen, self._u, 0.0)).astype(np.intp)
-        return np.where(self.seen, mask[rows, columns], 0)
 
 
 def frame_number(path: Path) -> int | None:

@@ -180,8 +180,8 @@ def test_a_wrong_sized_depth_names_both_sizes_and_the_remedy(
     make_replica: Maker, sample: SimpleNamespace
 ) -> None:
     scene = make_replica(3)
-    sample.save(scene / "results/depth000001.png", sample.depth(1, 12, 8))
-    with pytest.raises(FrameError, match=r"depth000001\.png: 12x8, but the colour is 24x16; export"):
+    sample.save(scene / "results/depth000001.png", sample.depth(1, 12, 9))
+    with pytest.raises(FrameError, match=r"depth000001\.png: 12x9, but the colour is 24x16; export"):
         open_sequence(scene)[1]
 
 
