@@ -9,7 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ggwarp.datasets.base import DatasetError
+from ggwarp.datasets.poses import rigid
 from ggwarp.datasets.rig import Lens, Rig
 from ggwarp.datasets.text import read_numbers
 from ggwarp.geometry.camera import Camera
@@ -116,8 +119,11 @@ def read_calibration(path: Path, *, depth_scale: float, size: tuple[int, int]) -
     """Read a camera file.
 
     JSON holds ``w h fx fy cx cy scale`` (also below a key "camera"; also ``width height
-    depth_scale distortion``, or Open3D's ``intrinsic_matrix``). Text holds either one line
-    ``fx fy cx cy [k1 k2 p1 p2 [k3]]`` or a 3x3 or 4x4 matrix.
+    depth_scale distortion``, or Open3D's ``intrinsic_matrix``), and where depth is not registered also
+    ``depth``, its own camera with ``w h fx fy cx cy distortion``, and ``T_color_depth``, a 4x4 matrix that
+    takes points of the depth camera to the colour camera; ``depth_distorted`` is true where registered
+    depth is bent as colour is. Text holds either one line ``fx fy cx cy [k1 k2 p1 p2 [k3]]`` or a 3x3 or
+    4x4 matrix.
 
     Args:
         depth_scale: used where the file gives none.
@@ -128,7 +134,30 @@ def read_calibration(path: Path, *, depth_scale: float, size: tuple[int, int]) -
     """
     values = _read_json(path) if path.suffix == ".json" else _read_table(path)
     values = {"width": size[0], "height": size[1], "depth_scale": depth_scale, **values}
-    for key in ("width", "height", "fx", "fy", "cx", "cy", "depth_scale"):
+    colour = _lens(values, path, size)
+    scale = _number(values["depth_scale"], "depth_scale", path)
+    if not _LEAST_SCALE <= scale <= _LARGEST_SCALE:
+        raise DatasetError(
+            f"{path}: depth_scale is {scale:g}; it is what a metre counts in the depth images, "
+            f"{_LEAST_SCALE:g} to {_LARGEST_SCALE:g} (1000 for millimetres)"
+        )
+    depth, T_colour_depth = None, None
+    if "depth" in values:
+        if not isinstance(values["depth"], dict):
+            raise DatasetError(f"{path}: depth is {shown(values['depth'])}; expected such as {_JSON_EXAMPLE}")
+        depth = _lens(_in_full(values["depth"]), path, None)
+    if "T_color_depth" in values:
+        T_colour_depth = _pose(values["T_color_depth"], path)
+        depth = depth or colour
+    distorted = values.get("depth_distorted", False)
+    if not isinstance(distorted, bool):
+        raise DatasetError(f"{path}: depth_distorted is {shown(distorted)}; it must be true or false")
+    return Calibration(colour.camera, scale, colour.distortion, depth, T_colour_depth, distorted)
+
+
+def _lens(values: dict[str, Any], path: Path, size: tuple[int, int] | None) -> Lens:
+    """Return the camera and distortion in ``values``, of pictures of (width, height) ``size``; None: any."""
+    for key in ("width", "height", "fx", "fy", "cx", "cy"):
         if key not in values:
             raise DatasetError(f"{path}: {key} is missing; expected such as {_JSON_EXAMPLE}")
         values[key] = _number(values[key], key, path)
@@ -137,13 +166,7 @@ def read_calibration(path: Path, *, depth_scale: float, size: tuple[int, int]) -
     for key in ("width", "height"):
         if values[key] != int(values[key]):
             raise DatasetError(f"{path}: {key} is {values[key]:g}; it must be a whole number of pixels")
-    scale = values.pop("depth_scale")
-    if not _LEAST_SCALE <= scale <= _LARGEST_SCALE:
-        raise DatasetError(
-            f"{path}: depth_scale is {scale:g}; it is what a metre counts in the depth images, "
-            f"{_LEAST_SCALE:g} to {_LARGEST_SCALE:g} (1000 for millimetres)"
-        )
-    distortion = values.pop("distortion", ())
+    distortion = values.get("distortion", ())
     if not isinstance(distortion, (list, tuple)) or len(distortion) not in (0, 4, 5, 8):
         raise DatasetError(
             f"{path}: distortion is {shown(distortion)}; expected a list k1 k2 p1 p2 [k3 [k4 k5 k6]]"
@@ -155,13 +178,31 @@ def read_calibration(path: Path, *, depth_scale: float, size: tuple[int, int]) -
         )
     values = {key: values[key] for key in ("width", "height", "fx", "fy", "cx", "cy")}
     # Of another size than the images it is wrong anyhow, which the first of them tells best.
-    fault = camera_fault(**values) if (values["width"], values["height"]) == size else size_fault(**values)
+    found = (values["width"], values["height"])
+    fault = camera_fault(**values) if found == (size or found) else size_fault(**values)
     if fault:
-        raise DatasetError(f"{path}: {fault}; the images are {size[0]}x{size[1]}")
+        raise DatasetError(f"{path}: {fault}" + (f"; the images are {size[0]}x{size[1]}" if size else ""))
     camera = Camera(
         int(values["width"]), int(values["height"]), *(values[key] for key in ("fx", "fy", "cx", "cy"))
     )
-    return Calibration(camera, scale, coefficients if any(coefficients) else ())
+    return Lens(camera, coefficients if any(coefficients) else ())
+
+
+def _pose(value: Any, path: Path) -> Float64:
+    """Return the rigid motion [4, 4] that a camera file gives as 16 numbers, or four rows of four."""
+    flat = (
+        [x for row in value for x in (row if isinstance(row, list) else [row])]
+        if isinstance(value, list)
+        else []
+    )
+    numbers = [finite_number(x) for x in flat]
+    T = None if len(numbers) != 16 or None in numbers else rigid(np.array(numbers, np.float64).reshape(4, 4))
+    if T is None:
+        raise DatasetError(
+            f"{path}: T_color_depth is {shown(value)}; expected a rigid motion, four rows of four numbers "
+            "that take points of the depth camera to the colour camera, in metres"
+        )
+    return T
 
 
 def _read_json(path: Path) -> dict[str, Any]:
@@ -173,6 +214,11 @@ def _read_json(path: Path) -> dict[str, Any]:
         values = values["camera"]
     if not isinstance(values, dict):
         raise DatasetError(f"{path}: is not a JSON object; expected such as {_JSON_EXAMPLE}")
+    return _in_full(values)
+
+
+def _in_full(values: dict[str, Any]) -> dict[str, Any]:
+    """Return a camera file's values with every key by its full name."""
     for short, full in (("w", "width"), ("h", "height"), ("scale", "depth_scale")):
         if short in values:
             values[full] = values[short]

@@ -40,7 +40,7 @@ def read_matrices(path: Path) -> list[Float64 | None]:
             raise DatasetError(
                 f"{path}:{line}: {len(values)} numbers; a pose is a 4x4 matrix, 16 numbers a line"
             )
-        pose = _rigid(np.array(values).reshape(-1, 4))
+        pose = rigid(np.array(values).reshape(-1, 4))
         poses.append(pose)
         if pose is None:
             unusable.append(line)
@@ -53,7 +53,7 @@ def read_matrix(path: Path) -> Float64 | None:
     values = [value for _, row in read_numbers(path) for value in row]
     if len(values) not in (12, 16):
         raise DatasetError(f"{path}: {len(values)} numbers; a pose is a 4x4 matrix, 16 numbers")
-    pose = _rigid(np.array(values).reshape(-1, 4))
+    pose = rigid(np.array(values).reshape(-1, 4))
     if pose is None:
         _warn(path, [1])
     return pose
@@ -96,7 +96,8 @@ def is_time(seconds: float) -> bool:
     return abs(seconds) < _LATEST
 
 
-def _rigid(rows: Float64) -> Float64 | None:
+def rigid(rows: Float64) -> Float64 | None:
+    """Return the rigid motion [4, 4] of its first three or four rows; None where they are none."""
     T = np.eye(4)
     T[: len(rows)] = rows
     R = T[:3, :3]

@@ -96,16 +96,14 @@ def sample_depth(depth: Float32, u: Float32, v: Float32) -> Float32:
     Returns:
         [h, w] metres; 0 = no reading, or outside.
     """
-    valid = depth > 0.0
-    far = np.where(valid, depth, np.float32(np.inf))
-    # Of the four pixels whose top left one this is; the last row and column stand for themselves.
-    lowest, highest = _of_four(np.minimum, far), _of_four(np.maximum, depth)
+    # Of the four pixels whose top left one this is; 0, no reading, is the lowest and agrees with none.
+    lowest, highest = _of_four(np.minimum, depth), _of_four(np.maximum, depth)
     agree = highest - lowest < _AGREEMENT * lowest
     constant = cv2.BORDER_CONSTANT
     nearest = cv2.remap(depth, u, v, cv2.INTER_NEAREST, borderMode=constant)
     between = cv2.remap(depth, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    top_left = [np.floor(position).astype(np.float32) for position in (u, v)]
-    good = cv2.remap(agree.astype(np.uint8), *top_left, cv2.INTER_NEAREST, borderMode=constant)
+    left, top = np.floor(u).astype(np.float32), np.floor(v).astype(np.float32)
+    good = cv2.remap(agree.astype(np.uint8), left, top, cv2.INTER_NEAREST, borderMode=constant)
     return np.where((good > 0) & (nearest > 0.0), between, nearest)
 
 

@@ -172,12 +172,13 @@ class FileSequence:
             depth = entry.depth.read()
         if not self._rig.fits(*size_of(depth)):
             raise FrameError(f"{entry.depth}: {shown_size(size_of(depth))}, but {self._rig.wanted_depth}")
-        if size_of(depth) != (self._depth_size or size_of(depth)):
+        if self._depth_size is None:
+            self._depth_size = size_of(depth)
+        elif size_of(depth) != self._depth_size:
             raise FrameError(
                 f"{entry.depth}: {shown_size(size_of(depth))}, but other depth images are "
                 f"{shown_size(self._depth_size)}; export it again"
             )
-        self._depth_size = size_of(depth)
         if entry.confidence is not None:
             depth = self._confident(depth, entry.confidence)
         return self._rig.depth(depth, entry.camera)
