@@ -8,7 +8,6 @@ import dataclasses
 import itertools
 import signal
 import time
-from collections.abc import Iterator
 
 import ggwarp
 from ggwarp import messages
@@ -21,6 +20,7 @@ from ggwarp.datasets import (
     WithoutDepth,
     open_dataset,
 )
+from ggwarp.datasets.kept_frames import KeptFrames
 from ggwarp.evaluation.evaluate import FrameScore
 from ggwarp.evaluation.evaluate import evaluate as compare
 from ggwarp.evaluation.image import open_lpips
@@ -36,14 +36,13 @@ from ggwarp.results.record import RunRecord
 from ggwarp.results.renders import RenderWriter
 from ggwarp.results.staging import StagedFolder
 from ggwarp.runtime import loading
+from ggwarp.runtime.image_store import ImageStore
+from ggwarp.runtime.memory import image_budget
 from ggwarp.saving import Saver
 from ggwarp.types import Frame, Rendered, StepReport, Verdict
 
 DONE, FAILED = 0, 1
 """Exit codes."""
-
-_KEPT_BYTES = 1 << 29  # frames held for the evaluation instead of being read again
-_FRAME_BYTES = 3 + 4 + 4 + 4  # a pixel's colour, depth, mask and true mask
 
 
 class Session:
@@ -128,12 +127,19 @@ class Session:
         self._reader = FrameReader(
             dataset, self._indices, scale=config.scale or 1.0, stopped=lambda: self._stopped
         )
+        budget = image_budget(config.device, config.memory)
+        self._kept = KeptFrames(
+            dataset, scale=config.scale or 1.0, budget=budget, stopped=lambda: self._stopped
+        )
         self._slam = Slam(
             config.slam,
             self._reader.camera,
             self._reader.sensor_camera,
             device=config.device,
             scheduler=_scheduler(config, len(self._indices)),
+            images=ImageStore(
+                device=config.device, budget=budget - self._kept.room, folder=lambda: folder.path
+            ),
         )
         self._concurrent = works_concurrently(config, self._slam)
         for left in folder.create():  # nothing is refused any more
@@ -157,8 +163,6 @@ class Session:
         """
         reader, record = self._reader, self.record
         self._interruption.at_once = False
-        size = len(reader) * reader.camera.width * reader.camera.height * _FRAME_BYTES
-        self._kept: list[Frame] = []  # for the evaluation; empty where they are too many to hold
         self._display.stage("frames", len(reader))
         started = time.perf_counter()
         try:
@@ -171,8 +175,7 @@ class Session:
                         self._skip(item)
                         continue
                     self._take(item, step, started)
-                    if size <= _KEPT_BYTES:
-                        self._kept.append(dataclasses.replace(item, sensor_depth=None))
+                    self._kept.keep(item)  # for the evaluation
         except SideError as error:
             record.failure = error
         record.loop_s = time.perf_counter() - started
@@ -270,7 +273,7 @@ class Session:
             writer.write(index, view)
 
         evaluation = compare(
-            itertools.takewhile(lambda _: not self._stopped, self._kept or self._frames_again()),
+            itertools.takewhile(lambda _: not self._stopped, self._kept.again(record.poses())),
             record.poses(),
             self._slam.render,
             mapped=self._slam.keyframe_indices,
@@ -303,10 +306,6 @@ class Session:
         self.record.skipped[frame.index] = frame.reason
         self._display.advance(f"frame {frame.index} skipped")
         self._display.warn(f"frame {frame.index} skipped: {frame.reason}")
-
-    def _frames_again(self) -> Iterator[Frame]:
-        with self._reader as reader:
-            yield from (f for f in reader if isinstance(f, Frame))
 
 
 def _scheduler(config: RunConfig, frames: int) -> Scheduler | None:

@@ -17,7 +17,7 @@ from ggwarp.config.run_config import RunConfig
 GROUPS: dict[str, tuple[str, ...]] = {
     "The recording": ("seq", "data", "frames", "masks", "masks-kind", "mono", "intrinsics"),
     "The method": ("config", "preset", "tracker", "policy", "use-identity", "refine"),
-    "The machine and the pace": ("device", "scale", "fps", "pipelined"),
+    "The machine and the pace": ("device", "scale", "fps", "pipelined", "memory"),
     "The results": ("out", "save-renders"),
 }
 """The options that are not of one part of the system, by what they are about."""

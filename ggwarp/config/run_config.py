@@ -70,6 +70,10 @@ class RunConfig:
     pipelined: Literal["auto", "on", "off"] = "auto"
     """Track and map at the same time, in two threads. The word auto means with --fps uncapped."""
 
+    memory: float | None = None
+    """Gigabytes for keyframes' images and for frames kept for the evaluation. Beyond them images go to a
+    temporary file beside the results, and frames are read again. Default: a third of the machine's memory."""
+
     out: Path | None = None
     """The run folder. Default: runs/SEQ/UTC-TIME, linked as runs/latest."""
 
@@ -103,6 +107,8 @@ def check(config: RunConfig) -> None:
         raise ConfigError(f"--scale {config.scale:g}: give a number above 0 and at most 1")
     if isinstance(config.fps, float) and not 0.0 < config.fps < math.inf:
         raise ConfigError(f"--fps {config.fps:g}: give a number above 0, or uncapped")
+    if config.memory is not None and not 0.0 <= config.memory < math.inf:
+        raise ConfigError(f"--memory {config.memory:g}: give a number of gigabytes, at least 0")
     if config.refine < 0:
         raise ConfigError(f"--refine {config.refine}: give 0 or a positive number of iterations")
     if config.save_renders is not None and config.save_renders < 0:

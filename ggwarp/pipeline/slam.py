@@ -41,6 +41,7 @@ from ggwarp.pipeline.tracking.point_map import TrackableConfig, TrackableMap
 from ggwarp.pipeline.tracking.tracker import TrackerContext, TrackingConfig, make_tracker
 from ggwarp.results.run_folder import write_system
 from ggwarp.runtime import loading
+from ggwarp.runtime.image_store import ImageStore
 from ggwarp.runtime.streams import NO_LOCK, stream_scopes
 from ggwarp.types import Float64, Frame, Rendered, StepReport, TrackResult
 
@@ -85,6 +86,7 @@ class Slam:
         *,
         device: Any = "cpu",
         scheduler: Scheduler | None = None,
+        images: ImageStore | None = None,
     ) -> None:
         """Build an empty map and the parts that work on it.
 
@@ -92,11 +94,13 @@ class Slam:
             camera: of the frames' ``rgb``, ``depth`` and ``mask``.
             sensor_camera: of the frames' ``sensor_depth``.
             scheduler: when frames come and how much mapping they get; None: ``config.mapper.iterations``.
+            images: holds those of the keyframes, on ``device``; None: all of them stay in memory.
         """
         chosen = "covisibility" if config.tracker == "photometric" else "overlap"
         self.config = dataclasses.replace(config, policy=chosen) if config.policy == "auto" else config
         self.device = device
         self.camera, self._sensor_camera = camera, sensor_camera
+        self._images = images
         self._scheduler = scheduler or SynchronousScheduler(config.mapper.iterations)
         self._tracking_scope = self._mapping_scope = NO_LOCK
         self._last: TrackResult | None = None
@@ -117,6 +121,7 @@ class Slam:
             tracked_masks=config.masks_kind == "tracked",
             window=config.window if config.policy == "covisibility" else None,
             monocular=config.mono,
+            images=self._images,
         )
         self.map = self._mapper.map
         self._policy: KeyframePolicy = OverlapKeyframes(config.keyframes)

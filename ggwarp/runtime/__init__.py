@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How kernels are run: launches, streams, recorded graphs, loading; nothing here computes."""
+"""How kernels are run and arrays held: launches, streams, graphs, loading, a budget; nothing computes."""

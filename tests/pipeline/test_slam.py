@@ -9,8 +9,9 @@ from ggwarp.datasets.built_in.synthetic import SyntheticOffice
 from ggwarp.geometry import se3
 from ggwarp.pipeline.mapping.mapper import MapperConfig
 from ggwarp.pipeline.slam import Slam, SlamConfig
-from ggwarp.pipeline.tracking.keyframe_policy import CovisibilityConfig
+from ggwarp.pipeline.tracking.keyframe_policy import CovisibilityConfig, KeyframeConfig
 from ggwarp.results.saved_run import load_run
+from ggwarp.runtime.image_store import ImageStore
 from ggwarp.types import Frame, Verdict
 
 OFFICE = SyntheticOffice(scale=0.15)
@@ -114,3 +115,31 @@ def test_what_is_saved_is_opened(frames: list[Frame], tmp_path: Path, use_identi
     described = [(o.id, o.count, o.views) for o in slam.objects({})]
     assert [(o.id, o.count, o.views) for o in run.objects] == described and bool(described) is use_identity
     assert (run.classifier is not None) is use_identity and run.edits == ()
+
+
+@pytest.mark.parametrize("policy", ["overlap", "covisibility"])
+def test_a_tiny_budget_of_memory_changes_no_bit(frames: list[Frame], policy: str) -> None:
+    rates = {} if policy == "overlap" else {"pose_rates": (1e-4, 1e-4), "exposure_rate": 0.01}
+    config = dataclasses.replace(
+        CONFIG,
+        mapper=dataclasses.replace(CONFIG.mapper, **rates),
+        policy=policy,
+        keyframes=KeyframeConfig(overlap=1.1),
+        covisibility=CovisibilityConfig(interval=1, min_translation=0.0, overlap=1.0),
+    )
+    stores = [ImageStore(device="cpu"), ImageStore(device="cpu", budget=0)]
+    systems = [Slam(config, OFFICE.camera, OFFICE.camera, images=store) for store in stores]
+    for frame in frames:
+        one, other = [dataclasses.astuple(slam.step(frame)) for slam in systems]
+        for a, b in zip(one[2:8], other[2:8], strict=True):
+            np.testing.assert_array_equal(a, b)
+    for slam in systems:
+        slam.refine()
+
+    assert len(systems[0].keyframe_indices) == 5 and len(stores[0]) == 15
+    assert stores[0].stored == 0 < stores[1].stored and stores[1].held < stores[0].held / 3
+    one, other = [vars(slam.map_arrays()) for slam in systems]
+    for name, values in one.items():
+        np.testing.assert_array_equal(values, other[name], err_msg=name)
+    one, other = [slam.fitted_poses() for slam in systems]
+    np.testing.assert_array_equal(list(one.values()), list(other.values()))

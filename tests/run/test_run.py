@@ -17,11 +17,13 @@ import pytest
 from fake_slam import FRAMES, only_line
 from ggwarp import config, run, session
 from ggwarp.config.options import option_table
+from ggwarp.datasets.kept_frames import KeptFrames
 from ggwarp.geometry.camera import Camera
 from ggwarp.io.ply import read_ply
 from ggwarp.io.trajectory import read_tum
 from ggwarp.results import run_folder
 from ggwarp.results.saved_run import load_run
+from ggwarp.types import Frame
 
 
 def test_a_run_leaves_its_folder(scene, fake, tmp_path, capsys):
@@ -103,7 +105,10 @@ def test_only_bad_frames(scene, fake, capsys):
 
 
 def test_frames_are_read_again_when_too_many_to_hold(scene, fake, monkeypatch):
-    monkeypatch.setattr("ggwarp.session._KEPT_BYTES", 0)
+    def nothing(self, frame):
+        assert isinstance(frame, Frame)
+
+    monkeypatch.setattr(KeptFrames, "keep", nothing)
     assert run.main(["--seq", "room9", "--device", "cpu", "--out", "o"]) == 0
     assert json.loads(Path("o/metrics.json").read_text())["heldout_frames"] == FRAMES - 2
 

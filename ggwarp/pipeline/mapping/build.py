@@ -20,6 +20,7 @@ from ggwarp.pipeline.mapping.keyframe_sampler import RandomSampler, WindowSample
 from ggwarp.pipeline.mapping.keyframe_window import WindowConfig
 from ggwarp.pipeline.mapping.mapper import Mapper, MapperConfig
 from ggwarp.pipeline.mapping.optimiser import MONOCULAR_RATES, RATES, MapOptimiser
+from ggwarp.runtime.image_store import ImageStore
 
 
 def build_mapper(
@@ -33,6 +34,7 @@ def build_mapper(
     monocular: bool = False,
     rates: AdamRates | None = None,
     recorded: bool | None = None,
+    images: ImageStore | None = None,
 ) -> Mapper:
     """Return the mapper of an empty map.
 
@@ -44,6 +46,7 @@ def build_mapper(
         monocular: frames have no depth, or an estimate: it seeds the map, but does not bind it.
         rates: Adam's learning rates of the Gaussians; None: those of this kind of run.
         recorded: see :class:`ggwarp.pipeline.mapping.optimiser.MapOptimiser`.
+        images: holds those of the keyframes, and is emptied; None: all stay in memory.
     """
     gaussians = GaussianMap(device=device, has_identity=use_identity)
     objects = None
@@ -58,7 +61,8 @@ def build_mapper(
         )
     renderer = Renderer(gaussians, camera, identity_shapes=config.classifier.shapes)
     exposures = ExposureModel(renderer, rate=config.exposure_rate) if config.exposure_rate > 0.0 else None
-    keyframes, rng = Keyframes(), np.random.default_rng(config.seed)
+    keyframes = Keyframes(ImageStore(device=device) if images is None else images)
+    rng = np.random.default_rng(config.seed)
     covisibility = None if window is None else Covisibility(gaussians, camera)
     sampler = (
         RandomSampler(rng)

@@ -1,10 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keyframes as mapping sees them: arrays on the device."""
+"""Keyframes as mapping sees them: arrays on the device.
+
+What is small of each stays there; images are many, and in an :class:`ImageStore`.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 import warp as wp
@@ -12,6 +16,7 @@ from numpy.typing import NDArray
 
 from ggwarp.geometry import se3
 from ggwarp.kernels.math import vec6
+from ggwarp.runtime.image_store import ImageStore
 from ggwarp.runtime.streams import to_host
 from ggwarp.types import Exposure, Float64, Frame
 
@@ -19,8 +24,8 @@ _NEUTRAL = Exposure()
 
 
 @dataclass(frozen=True)
-class Keyframe:
-    """A frame the map is fitted to, on the device.
+class KeyframeState:
+    """What is known of a keyframe but its images, on the device.
 
     Attributes:
         index: the frame's.
@@ -29,9 +34,6 @@ class Keyframe:
         pose_moments, pose_steps: [2] vec6 and [1] int, Adam's state of that pose.
         exposure: [1] vec6, see :mod:`ggwarp.kernels.photometric.affine_exposure`; 0: the map's own.
         exposure_moments, exposure_steps: as those of the pose.
-        colour: [h, w, 3] uint8.
-        depth: [h, w] float, metres, 0 = none.
-        labels: [h, w] int class of each pixel; None where there is no mask.
     """
 
     index: int
@@ -42,9 +44,25 @@ class Keyframe:
     exposure: wp.array
     exposure_moments: wp.array
     exposure_steps: wp.array
+
+
+@dataclass(frozen=True)
+class Keyframe(KeyframeState):
+    """A frame the map is fitted to, on the device.
+
+    Attributes:
+        colour: [h, w, 3] uint8.
+        depth: [h, w] float, metres, 0 = none.
+        labels: [h, w] int class of each pixel; None where there is no mask.
+    """
+
     colour: wp.array
     depth: wp.array
     labels: wp.array | None
+
+
+IMAGES = ("colour", "depth", "labels")
+"""What of a keyframe is in the store."""
 
 
 def upload(
@@ -79,16 +97,69 @@ def upload(
     )
 
 
-class Keyframes(list[Keyframe]):
-    """All keyframes, numbered in the order in which they came."""
+class Keyframes(Sequence[Keyframe]):
+    """All keyframes, numbered in the order in which they came.
+
+    Attributes:
+        states: of each, all but its images.
+    """
+
+    def __init__(self, images: ImageStore) -> None:
+        """Begin without any; their images go to ``images``, by number and name, which nobody else uses."""
+        self.states: list[KeyframeState] = []
+        self._images = images
+        images.clear()
+
+    def __len__(self) -> int:
+        return len(self.states)
+
+    @overload
+    def __getitem__(self, number: int) -> Keyframe: ...
+    @overload
+    def __getitem__(self, number: slice) -> list[Keyframe]: ...
+    def __getitem__(self, number: int | slice) -> Keyframe | list[Keyframe]:
+        if isinstance(number, slice):
+            return [self[k] for k in range(len(self))[number]]
+        number = range(len(self))[number]
+        images: dict[str, Any] = dict.fromkeys(IMAGES)
+        images |= {n: self._images.get((number, n)) for n in IMAGES if (number, n) in self._images}
+        return Keyframe(**vars(self.states[number]), **images)
+
+    def append(self, keyframe: Keyframe) -> None:
+        """Add the next one; its arrays are kept as they are."""
+        number = len(self)
+        self.states.append(
+            KeyframeState(**{f.name: getattr(keyframe, f.name) for f in fields(KeyframeState)})
+        )
+        for name in IMAGES:
+            if (image := getattr(keyframe, name)) is not None:
+                self._images.put((number, name), image)
+
+    def depth(self, number: int) -> wp.array:
+        """Return the depth [h, w] of keyframe ``number``."""
+        return self._images.get((number, "depth"))
+
+    def label(self, number: int, labels: NDArray[np.int32]) -> None:
+        """Replace the labels of keyframe ``number`` by ``labels`` [h, w], if it has any."""
+        key = number, "labels"
+        if key in self._images:
+            array = self._images.get(key)
+            array.assign(labels)
+            self._images.put(key, array)
+
+    @property
+    def indices(self) -> list[int]:
+        """The frames that they are."""
+        return [state.index for state in self.states]
 
     def pose(self, number: int) -> Float64:
         """Return the camera-to-world pose [4, 4] of keyframe ``number`` (-1: the newest) as it is now."""
-        return se3.inverse(se3.orthonormalised(to_host(self[number].T_cw)[0].astype(np.float64)))
+        T_cw = to_host(self.states[number].T_cw)[0].astype(np.float64)
+        return se3.inverse(se3.orthonormalised(T_cw))
 
     def exposure(self, number: int) -> Exposure:
         """Return the exposure of keyframe ``number`` (-1: the newest) as it is now."""
-        values = to_host(self[number].exposure)[0].tolist()
+        values = to_host(self.states[number].exposure)[0].tolist()
         return Exposure(tuple(values[:3]), tuple(values[3:]))
 
 

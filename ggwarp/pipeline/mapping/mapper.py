@@ -95,7 +95,7 @@ class Mapper:
     @property
     def keyframe_indices(self) -> list[int]:
         """Frames that were ever used for mapping."""
-        return [keyframe.index for keyframe in self._keyframes]
+        return self._keyframes.indices
 
     def insert(self, frame: Frame, T_wc: Float64, exposure: Exposure | None = None) -> None:
         """Make ``frame`` a keyframe and add the Gaussians that it shows and the map lacks.
@@ -152,15 +152,15 @@ class Mapper:
             self._depth_completion.observe(frame, T_wc)
         if skip_objects or self.objects is None or not self.ready:
             return
-        if self.objects.vote_is_due(frame, newest=self._keyframes[-1].index):
+        if self.objects.vote_is_due(frame, newest=self._keyframes.states[-1].index):
             self.objects.vote(frame, T_wc, self.render(T_wc))
         number = self.objects.keyframe_to_relabel(len(self._keyframes))
         if number is not None:
-            keyframe, T_wc = self._keyframes[number], self._keyframes.pose(number)
-            view, depth = self.render(T_wc), to_host(keyframe.depth)
-            labels = self.objects.relabel(keyframe.index, depth, T_wc, view)
-            if labels is not None and keyframe.labels is not None:
-                keyframe.labels.assign(labels)
+            index, T_wc = self._keyframes.states[number].index, self._keyframes.pose(number)
+            view, depth = self.render(T_wc), to_host(self._keyframes.depth(number))
+            labels = self.objects.relabel(index, depth, T_wc, view)
+            if labels is not None:
+                self._keyframes.label(number, labels)
 
     def iterate(self) -> None:
         """Fit the map to one keyframe once; on CUDA, queue it: the host reads nothing."""
@@ -192,7 +192,7 @@ class Mapper:
         """Return the pose of each keyframe that is fitted, by the frame's index; none where poses stay."""
         if not self.fits_poses:
             return {}
-        return {k.index: self._keyframes.pose(number) for number, k in enumerate(self._keyframes)}
+        return {index: self._keyframes.pose(number) for number, index in enumerate(self._keyframes.indices)}
 
     def keyframe_exposure(self, number: int) -> Exposure:
         """Return the exposure of keyframe ``number`` (-1: the newest) as it is now."""

@@ -23,6 +23,9 @@ from ggwarp.types import Float32, Float64, Frame
 TRIAL = 10
 """Frames after a start that show whether it was good: when two of them are lost, it starts over."""
 
+PATIENCE = 30
+"""Frames without parallax after which a start is given up for the newest picture."""
+
 _KNOWN = 0.4
 """The map begins when the depth of this share of the first picture can be told."""
 
@@ -38,12 +41,10 @@ _MATCHED = 0.35
 
 @dataclass(frozen=True)
 class InitialisationConfig:
-    """When a monocular map begins, and at which scale."""
+    """At which scale a monocular map begins."""
 
     median_depth: float = 2.0
     """Median depth of the first picture, metres: it sets the scale, which one camera cannot know."""
-    patience: int = 30
-    """A start without parallax is given up for the newest picture after N frames."""
 
 
 @dataclass(frozen=True)
@@ -99,8 +100,8 @@ class MonocularInitialiser:
 
     def _wait(self, reason: str) -> None:
         self.waiting_for = reason
-        if len(self._frames) > self._config.patience:
-            self._over(f"{reason}, after {self._config.patience} frames")
+        if len(self._frames) > PATIENCE:
+            self._over(f"{reason}, after {PATIENCE} frames")
 
     def _over(self, reason: str) -> None:
         """Begin again with the newest picture."""

@@ -4,10 +4,12 @@
 import dataclasses
 
 import numpy as np
+import pytest
 
 from ggwarp.datasets.built_in.synthetic import SyntheticOffice
 from ggwarp.evaluation.trajectory import absolute_error
 from ggwarp.geometry import se3
+from ggwarp.pipeline.tracking import initialisation
 from ggwarp.pipeline.tracking.initialisation import InitialisationConfig, MonocularInitialiser
 from ggwarp.types import Frame
 
@@ -46,8 +48,9 @@ def test_a_moving_camera_begins_with_depth_and_poses_up_to_scale() -> None:
     assert np.linalg.norm(se3.so3_log(found[-1, :3, :3].T @ true[-1, :3, :3])) < np.radians(0.6)
 
 
-def test_a_still_camera_waits_then_starts_over() -> None:
-    start = MonocularInitialiser(InitialisationConfig(patience=4), OFFICE.camera)
+def test_a_still_camera_waits_then_starts_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(initialisation, "PATIENCE", 4)
+    start = MonocularInitialiser(InitialisationConfig(), OFFICE.camera)
     still = bare(0)
     for _ in range(4):
         assert start.add(still, np.eye(4)) is None
