@@ -136,6 +136,8 @@ def read_calibration(path: Path, *, depth_scale: float, size: tuple[int, int]) -
     values = {"width": size[0], "height": size[1], "depth_scale": depth_scale, **values}
     colour = _lens(values, path, size)
     scale = _number(values["depth_scale"], "depth_scale", path)
+    if scale <= 0.0:
+        raise DatasetError(f"{path}: depth_scale is {scale:g}; it must be positive")
     if not _LEAST_SCALE <= scale <= _LARGEST_SCALE:
         raise DatasetError(
             f"{path}: depth_scale is {scale:g}; it is what a metre counts in the depth images, "
