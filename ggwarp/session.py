@@ -21,6 +21,7 @@ from ggwarp.datasets import (
     open_dataset,
 )
 from ggwarp.datasets.kept_frames import KeptFrames
+from ggwarp.datasets.plan.sequence_plan import plan_sequence
 from ggwarp.evaluation.evaluate import FrameScore
 from ggwarp.evaluation.evaluate import evaluate as compare
 from ggwarp.evaluation.image import open_lpips
@@ -117,8 +118,12 @@ class Session:
         self._indices = frame_indices(config.frames, len(dataset))
         self._name = seq if dataset.kind == "synthetic" else dataset.name
         self.folder = StagedFolder(config.out, self._name)
-        for line in messages.introduction(asked, config, dataset, len(self._indices)):
+        plan = plan_sequence(self._dataset, self._indices)
+        self._plan = plan.to_json()
+        for line in (*plan.lines(), *messages.introduction(asked, config, dataset, len(self._indices))):
             display.note(line)
+        for line in plan.warnings:
+            display.warn(line)
 
     def prepare(self) -> None:
         """Build the system, make the run folder and load the kernels."""
@@ -152,6 +157,7 @@ class Session:
         self.record = RunRecord(
             self._name, dataset.kind, config.device, class_names=names, monocular=config.slam.mono
         )
+        self.record.plan = self._plan
         self._saver = Saver(self.record, folder, self._display, self._started)
 
     def track_and_map(self) -> None:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ggwarp.datasets import DatasetError, open_dataset
 from ggwarp.datasets.built_in.faults import MaskFaults, faulty_mask
 from ggwarp.datasets.masks import MASK_FOLDERS, read_mask, write_mask
-from ggwarp.datasets.sequence import frame_number
+from ggwarp.datasets.pairing import frame_numbers
 from ggwarp.io.printable import printable
 
 Ids = NDArray[np.int32]
@@ -36,9 +36,9 @@ def masks_of(source: str, data_root: Path) -> Iterator[tuple[str, int, Ids]]:
     """
     found = False
     for folder in [Path(source) / name for name in MASK_FOLDERS] + [Path(source)]:
-        for position, path in enumerate(sorted(folder.glob("*.png"))):
+        files = sorted(folder.glob("*.png"))
+        for position, (path, number) in enumerate(zip(files, frame_numbers(files), strict=True)):
             found = True
-            number = frame_number(path)
             yield path.stem, position if number is None else number, read_mask(path)
         if found:
             return

@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 
 from ggwarp.datasets.base import DatasetError
+from ggwarp.datasets.formats.camera_file import JSON_EXAMPLE, camera_values, in_full, lens_notes
 from ggwarp.datasets.poses import rigid
 from ggwarp.datasets.rig import Lens, Rig
-from ggwarp.datasets.text import read_numbers
 from ggwarp.geometry.camera import Camera
-from ggwarp.io import guarded
 from ggwarp.io.camera import camera_fault, finite_number, size_fault
 from ggwarp.io.printable import shown
 from ggwarp.types import Float64
@@ -25,6 +24,7 @@ CAMERA_FILES = (
     "camera.json",
     "cam_params.json",
     "camera_intrinsic.json",
+    "intrinsic.json",
     "calibration.txt",
     "intrinsics.txt",
 )
@@ -38,7 +38,8 @@ _LEAST_SCALE, _LARGEST_SCALE = 1.0, 1e6
 _LARGEST_COEFFICIENT = 1e4
 """Of a lens's distortion; rational models come with coefficients of a few hundred."""
 
-_JSON_EXAMPLE = '{"w": 640, "h": 480, "fx": 525, "fy": 525, "cx": 319.5, "cy": 239.5, "scale": 1000}'
+_SHORTEST_FOCAL = 4.0
+"""Pixels; intrinsics in shares of the image are below it."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,9 @@ class Calibration:
         depth: the depth pictures' own lens; None: they show what the colour camera does, at any size.
         T_colour_depth: [4, 4] takes points of the depth camera to the colour camera; None: the same place.
         depth_distorted: whether depth without a lens of its own is bent as the colour is.
+        origin: the file or option that gives the camera, for messages.
+        scale_origin: who says what depth_scale is; empty: nobody, it is assumed.
+        notes: what is odd about the file, a line each.
     """
 
     camera: Camera
@@ -60,6 +64,10 @@ class Calibration:
     depth: Lens | None = None
     T_colour_depth: Float64 | None = None
     depth_distorted: bool = False
+
+    origin: str = ""
+    scale_origin: str = ""
+    notes: tuple[str, ...] = ()
 
     def rig(self) -> Rig:
         """Return what makes frames of the pictures.
@@ -73,6 +81,15 @@ class Calibration:
             T_colour_depth=self.T_colour_depth,
             depth_distorted=self.depth_distorted,
         )
+
+    @property
+    def depth_unit(self) -> str:
+        """The depth's unit in words."""
+        return f"{self.depth_scale:g} units a metre, {self._said_by}"
+
+    @property
+    def _said_by(self) -> str:
+        return f"from {self.scale_origin}" if self.scale_origin else "assumed, as no file says"
 
 
 def given_camera(path: Path, size: tuple[int, int], intrinsics: Intrinsics | None) -> Camera:
@@ -112,10 +129,12 @@ def find_camera_file(folders: Iterable[Path], names: Iterable[str] = CAMERA_FILE
             if (folder / name).is_file():
                 return folder / name
     searched = " or ".join(str(folder) for folder in folders)
-    raise DatasetError(f"{names[0]}: no camera file in {searched}; write one, such as {_JSON_EXAMPLE}")
+    raise DatasetError(f"{names[0]}: no camera file in {searched}; write one, such as {JSON_EXAMPLE}")
 
 
-def read_calibration(path: Path, *, depth_scale: float, size: tuple[int, int]) -> Calibration:
+def read_calibration(
+    path: Path, *, depth_scale: float, size: tuple[int, int], intrinsics: Intrinsics | None = None
+) -> Calibration:
     """Read a camera file.
 
     JSON holds ``w h fx fy cx cy scale`` (also below a key "camera"; also ``width height
@@ -128,11 +147,17 @@ def read_calibration(path: Path, *, depth_scale: float, size: tuple[int, int]) -
     Args:
         depth_scale: used where the file gives none.
         size: (width, height) of the colour images, pixels; used where the file gives none.
+        intrinsics: go before the file's; its depth scale and distortion stay.
 
     Raises:
         DatasetError: the file is malformed or a value is out of range.
     """
-    values = _read_json(path) if path.suffix == ".json" else _read_table(path)
+    values = camera_values(path)
+    told, notes = "depth_scale" in values, (*values.pop("notes", ()), *lens_notes(values, path))
+    origin = path.name
+    if intrinsics is not None:
+        values.update(zip(("fx", "fy", "cx", "cy"), intrinsics, strict=True))
+        origin = f"--intrinsics and {path.name}"
     values = {"width": size[0], "height": size[1], "depth_scale": depth_scale, **values}
     colour = _lens(values, path, size)
     scale = _number(values["depth_scale"], "depth_scale", path)
@@ -146,25 +171,37 @@ def read_calibration(path: Path, *, depth_scale: float, size: tuple[int, int]) -
     depth, T_colour_depth = None, None
     if "depth" in values:
         if not isinstance(values["depth"], dict):
-            raise DatasetError(f"{path}: depth is {shown(values['depth'])}; expected such as {_JSON_EXAMPLE}")
-        depth = _lens(_in_full(values["depth"]), path, None)
+            raise DatasetError(f"{path}: depth is {shown(values['depth'])}; expected such as {JSON_EXAMPLE}")
+        depth = _lens(in_full(values["depth"], path), path, None)
     if "T_color_depth" in values:
         T_colour_depth = _pose(values["T_color_depth"], path)
         depth = depth or colour
     distorted = values.get("depth_distorted", False)
     if not isinstance(distorted, bool):
         raise DatasetError(f"{path}: depth_distorted is {shown(distorted)}; it must be true or false")
-    return Calibration(colour.camera, scale, colour.distortion, depth, T_colour_depth, distorted)
+    return Calibration(
+        colour.camera,
+        scale,
+        colour.distortion,
+        depth,
+        T_colour_depth,
+        distorted,
+        origin=origin,
+        scale_origin=path.name if told else "",
+        notes=notes,
+    )
 
 
 def _lens(values: dict[str, Any], path: Path, size: tuple[int, int] | None) -> Lens:
     """Return the camera and distortion in ``values``, of pictures of (width, height) ``size``; None: any."""
     for key in ("width", "height", "fx", "fy", "cx", "cy"):
         if key not in values:
-            raise DatasetError(f"{path}: {key} is missing; expected such as {_JSON_EXAMPLE}")
+            raise DatasetError(f"{path}: {key} is missing; expected such as {JSON_EXAMPLE}")
         values[key] = _number(values[key], key, path)
         if key not in ("cx", "cy") and values[key] <= 0.0:
-            raise DatasetError(f"{path}: {key} is {values[key]:g}; it must be positive")
+            down = ": y points down here; with depth and poses of a camera whose y points up, turn these, too"
+            sign = down if key == "fy" and values[key] < 0.0 else ""
+            raise DatasetError(f"{path}: {key} is {values[key]:g}; it must be positive{sign}")
     for key in ("width", "height"):
         if values[key] != int(values[key]):
             raise DatasetError(f"{path}: {key} is {values[key]:g}; it must be a whole number of pixels")
@@ -179,11 +216,18 @@ def _lens(values: dict[str, Any], path: Path, size: tuple[int, int] | None) -> L
             f"{path}: distortion is {shown(distortion)}; a coefficient is at most {_LARGEST_COEFFICIENT:g}"
         )
     values = {key: values[key] for key in ("width", "height", "fx", "fy", "cx", "cy")}
+    if max(values["fx"], values["fy"]) < _SHORTEST_FOCAL and max(values["cx"], values["cy"]) <= 1.0:
+        raise DatasetError(
+            f"{path}: fx is {values['fx']:g} and cx {values['cx']:g}, as of normalised intrinsics "
+            "(a focal length below a few pixels); multiply fx and cx by the width, fy and cy by the height"
+        )
     # Of another size than the images it is wrong anyhow, which the first of them tells best.
     found = (values["width"], values["height"])
     fault = camera_fault(**values) if found == (size or found) else size_fault(**values)
     if fault:
-        raise DatasetError(f"{path}: {fault}" + (f"; the images are {size[0]}x{size[1]}" if size else ""))
+        told = size is None or str(size[0]) in fault.rpartition("the ")[2]
+        other = "" if told or size is None else f"; the images are {size[0]}x{size[1]}"
+        raise DatasetError(f"{path}: {fault}{other}: are they of another size than the file's?")
     camera = Camera(
         int(values["width"]), int(values["height"]), *(values[key] for key in ("fx", "fy", "cx", "cy"))
     )
@@ -205,42 +249,6 @@ def _pose(value: Any, path: Path) -> Float64:
             "that take points of the depth camera to the colour camera, in metres"
         )
     return T
-
-
-def _read_json(path: Path) -> dict[str, Any]:
-    try:
-        values = guarded.read_json(path, guarded.CAMERA)
-    except guarded.FileError as error:
-        raise DatasetError(str(error)) from error
-    if isinstance(values, dict) and isinstance(values.get("camera"), dict):
-        values = values["camera"]
-    if not isinstance(values, dict):
-        raise DatasetError(f"{path}: is not a JSON object; expected such as {_JSON_EXAMPLE}")
-    return _in_full(values)
-
-
-def _in_full(values: dict[str, Any]) -> dict[str, Any]:
-    """Return a camera file's values with every key by its full name."""
-    for short, full in (("w", "width"), ("h", "height"), ("scale", "depth_scale")):
-        if short in values:
-            values[full] = values[short]
-    matrix = values.get("intrinsic_matrix")
-    if isinstance(matrix, list) and len(matrix) == 9:
-        # Open3D writes its matrix by columns.
-        values.update(fx=matrix[0], fy=matrix[4], cx=matrix[6], cy=matrix[7])
-    return values
-
-
-def _read_table(path: Path) -> dict[str, Any]:
-    rows = [values for _, values in read_numbers(path)]
-    if len(rows) == 1 and len(rows[0]) in (4, 8, 9):
-        fx, fy, cx, cy, *distortion = rows[0]
-        return {"fx": fx, "fy": fy, "cx": cx, "cy": cy, "distortion": distortion}
-    if len(rows) in (3, 4) and all(len(row) == len(rows) for row in rows):
-        return {"fx": rows[0][0], "fy": rows[1][1], "cx": rows[0][2], "cy": rows[1][2]}
-    raise DatasetError(
-        f"{path}: expected one line 'fx fy cx cy [k1 k2 p1 p2 k3]' or a 3x3 matrix, found {len(rows)} lines"
-    )
 
 
 def _number(value: Any, key: str, path: Path) -> float:

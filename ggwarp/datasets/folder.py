@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """A plain folder: one's own recording.
 
-``color/``, ``rgb/`` or ``images/`` and ``depth/``, paired by name or number; a camera file (see
-:mod:`ggwarp.datasets.calibration`); poses optional, in ``traj.txt`` or ``pose/<stem>.txt``. Without
-``depth/`` it is monocular; then the images may also lie in the folder itself.
+``color/``, ``rgb/`` or ``images/`` and ``depth/``, paired by name, number or time (see
+:mod:`ggwarp.datasets.pairing`); a camera file (see :mod:`ggwarp.datasets.calibration`); poses optional, in
+``traj.txt`` or ``pose/<stem>.txt``. Without ``depth/`` it is monocular; then the images may also lie in the
+folder itself.
 """
 
 from __future__ import annotations
@@ -20,11 +21,14 @@ from ggwarp.datasets.calibration import (
     read_calibration,
 )
 from ggwarp.datasets.images import COLOUR_SUFFIXES, DEPTH_SUFFIXES, image_size
-from ggwarp.datasets.poses import read_matrices, read_matrix
-from ggwarp.datasets.sequence import Entry, FileSequence, image_files, match_by_number, match_poses
+from ggwarp.datasets.pairing import Pairing, pair_files
+from ggwarp.datasets.poses import read_matrices, read_matrix_files
+from ggwarp.datasets.sequence import Entry, FileSequence, image_files, match_poses
+from ggwarp.datasets.source import Source, contents, unread_entries
 from ggwarp.types import Float64
 
-COLOUR_FOLDERS = ("color", "rgb", "images")
+COLOUR_FOLDERS = ("color", "rgb", "images", "colour")
+DEPTH_FOLDERS = ("depth", "depths", "depth_images")
 POSE_FOLDERS = ("pose", "poses")
 _DEPTH_SCALE = 1000.0
 """Millimetres, as most recorders write."""
@@ -40,34 +44,74 @@ def open_sequence(path: Path, masks: Masks = None, intrinsics: Intrinsics | None
     """Open a folder.
 
     Args:
-        intrinsics: go before a camera file.
+        intrinsics: go before a camera file's; its depth scale and distortion stay.
 
     Raises:
-        DatasetError: no images, no camera file, or malformed numbers.
+        DatasetError: no images, no camera file, malformed numbers, or names that do not tell what belongs
+            together.
     """
     folder = _colour_folder(path)
     colour = image_files(folder) if folder else []
-    if not colour:
+    if not colour or folder is None:
         raise DatasetError(f"{path}: the sequence is empty (no images in {', '.join(COLOUR_FOLDERS)})")
-    depth = image_files(path / "depth", suffixes=DEPTH_SUFFIXES) if (path / "depth").is_dir() else []
-    size = image_size(colour[:3])
-    if intrinsics is not None or not (depth or _camera_file(path)):
-        calibration = Calibration(given_camera(path, size, intrinsics), _DEPTH_SCALE)
-    else:
-        calibration = read_calibration(find_camera_file([path]), depth_scale=_DEPTH_SCALE, size=size)
-    matched = zip(colour, match_by_number(colour, depth), _poses(path, colour), strict=True)
-    entries = [Entry(rgb, d, i / _RATE, T_wc) for i, (rgb, d, T_wc) in enumerate(matched)]
-    if depth and not any(entry.depth for entry in entries):
+    depth_folder = _first(path, DEPTH_FOLDERS)
+    depth = image_files(depth_folder, suffixes=DEPTH_SUFFIXES) if depth_folder else []
+    if depth_folder is not None and not depth and any(depth_folder.iterdir()):
         raise DatasetError(
-            f"{path}: no image in depth/ has the name or number of one in {colour[0].parent.name}/ "
-            f"({depth[0].name}, {colour[0].name})"
+            f"{depth_folder}: holds {contents(depth_folder)}, but depth is read from "
+            f"{', '.join(DEPTH_SUFFIXES)}; export it so, or move it away"
         )
-    return FileSequence(path, "folder", entries, calibration, masks=masks)
+    calibration = _calibration(path, image_size(colour[:3]), intrinsics, with_depth=bool(depth))
+    pairing = pair_files(colour, depth, "colour images", "depth images")
+    poses, truth, read = _poses(path, colour)
+    entries = _entries(colour, depth, pairing, poses)
+    known = {folder, *([depth_folder] if depth_folder else ()), *read, *(path / n for n in CAMERA_FILES)}
+    source = Source(
+        layout=f"a plain folder, {folder.name}/" + (f" and {depth_folder.name}/" if depth_folder else ""),
+        pairing=pairing.summary("colour images", "depth images") if depth else "",
+        truth=truth,
+        notes=tuple(pairing.notes),
+        unread=unread_entries(path, {*known, *(colour if folder == path else ())}),
+    )
+    return FileSequence(path, "folder", entries, calibration, masks=masks, source=source)
+
+
+def _calibration(
+    path: Path, size: tuple[int, int], intrinsics: Intrinsics | None, *, with_depth: bool
+) -> Calibration:
+    """Return the camera file's calibration with ``intrinsics`` before its own, or that of these alone."""
+    camera = None
+    if intrinsics is not None or not (with_depth or _camera_file(path)):
+        camera = given_camera(path, size, intrinsics)
+    if camera is not None and not _camera_file(path):
+        return Calibration(camera, _DEPTH_SCALE, origin="--intrinsics")
+    file = find_camera_file([path])
+    return read_calibration(file, depth_scale=_DEPTH_SCALE, size=size, intrinsics=intrinsics)
+
+
+def _entries(
+    colour: list[Path], depth: list[Path], pairing: Pairing, poses: list[Float64 | None]
+) -> list[Entry]:
+    """Return the frames, with the times that their names tell."""
+    entries = []
+    for i, (rgb, partner, T_wc) in enumerate(zip(colour, pairing.partners, poses, strict=True)):
+        stamp, depth_stamp = i / _RATE, None
+        if pairing.stamps is not None:
+            stamp = float(pairing.stamps[0][i])
+            depth_stamp = float(pairing.stamps[1][partner]) if partner >= 0 else None
+        entries.append(Entry(rgb, depth[partner] if partner >= 0 else None, stamp, T_wc, depth_stamp))
+    return entries
+
+
+def _first(path: Path, names: tuple[str, ...]) -> Path | None:
+    """Return the first of the folders ``names`` in ``path``, in any case; None: there is none."""
+    there = {entry.name.lower(): entry for entry in sorted(path.iterdir(), reverse=True) if entry.is_dir()}
+    return next((there[name] for name in names if name in there), None)
 
 
 def _colour_folder(path: Path) -> Path | None:
-    inside = next((path / name for name in COLOUR_FOLDERS if (path / name).is_dir()), None)
-    if inside is not None or (path / "depth").is_dir():
+    inside = _first(path, COLOUR_FOLDERS)
+    if inside is not None or _first(path, DEPTH_FOLDERS):
         return inside
     return path if any(p.suffix.lower() in COLOUR_SUFFIXES for p in path.iterdir()) else None
 
@@ -76,14 +120,22 @@ def _camera_file(path: Path) -> bool:
     return any((path / name).is_file() for name in CAMERA_FILES)
 
 
-def _poses(path: Path, colour: list[Path]) -> list[Float64 | None]:
-    if (path / "traj.txt").is_file():
-        return match_poses(colour, read_matrices(path / "traj.txt"))
-    folder = next((path / name for name in POSE_FOLDERS if (path / name).is_dir()), None)
+def _poses(path: Path, colour: list[Path]) -> tuple[list[Float64 | None], str, list[Path]]:
+    """Return each image's pose, where from in words, and the files or folders that were read."""
+    file = path / "traj.txt"
+    if file.is_file():
+        rows = read_matrices(file)
+        poses = match_poses(colour, rows)
+        known = sum(pose is not None for pose in poses)
+        return poses, f"traj.txt, poses of {known} of {len(colour)} frames, camera-to-world", [file]
+    folder = _first(path, POSE_FOLDERS)
     if folder is None:
-        return [None] * len(colour)
-    files = match_by_number(colour, sorted(folder.glob("*.txt")))
-    return [read_matrix(file) if file else None for file in files]
+        return [None] * len(colour), "", []
+    files = sorted(folder.glob("*.txt"))
+    partners = pair_files(colour, files, "colour images", "poses").partners
+    poses = read_matrix_files([files[i] if i >= 0 else None for i in partners])
+    known = sum(pose is not None for pose in poses)
+    return poses, f"{folder.name}/, poses of {known} of {len(colour)} frames, camera-to-world", [folder]
 
 
 KIND = Kind(

@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from ggwarp.datasets.base import DatasetError
+from ggwarp.datasets.pairing import unit_name, unit_of_times
 from ggwarp.datasets.text import read_numbers
 from ggwarp.geometry import se3
 from ggwarp.types import Float64
@@ -48,19 +50,41 @@ def read_matrices(path: Path) -> list[Float64 | None]:
     return poses
 
 
-def read_matrix(path: Path) -> Float64 | None:
-    """Read one camera-to-world pose, a 4x4 matrix in a file of its own; None where it is no pose."""
-    values = [value for _, row in read_numbers(path) for value in row]
-    if len(values) not in (12, 16):
-        raise DatasetError(f"{path}: {len(values)} numbers; a pose is a 4x4 matrix, 16 numbers")
-    pose = rigid(np.array(values).reshape(-1, 4))
-    if pose is None:
-        _warn(path, [1])
-    return pose
+def read_matrix_files(paths: Sequence[Path | None]) -> list[Float64 | None]:
+    """Read camera-to-world poses, a 4x4 matrix a file; None where there is no file or it holds no pose.
+
+    One warning says in which files there is none.
+
+    Raises:
+        DatasetError: a file does not hold 12 or 16 numbers.
+    """
+    poses: list[Float64 | None] = []
+    unusable = []
+    for path in paths:
+        pose = None
+        if path is not None:
+            values = [value for _, row in read_numbers(path) for value in row]
+            if len(values) not in (12, 16):
+                raise DatasetError(f"{path}: {len(values)} numbers; a pose is a 4x4 matrix, 16 numbers")
+            pose = rigid(np.array(values).reshape(-1, 4))
+            if pose is None:
+                unusable.append(path)
+        poses.append(pose)
+    if unusable:
+        names = ", ".join(path.name for path in unusable[:5]) + (", ..." if len(unusable) > 5 else "")
+        log.warning(
+            "%s: %d of its files hold no pose (%s): frames without truth",
+            unusable[0].parent,
+            len(unusable),
+            names,
+        )
+    return poses
 
 
 def read_stamped(path: Path) -> tuple[Float64, list[Float64 | None]]:
     """Read a TUM trajectory: ``t tx ty tz qx qy qz qw`` a line, camera-to-world.
+
+    Times that are milliseconds, microseconds or nanoseconds since 1970 by their size are taken for these.
 
     Returns:
         [n] timestamps in seconds, and n poses [4, 4] or None as in :func:`read_matrices`.
@@ -69,14 +93,13 @@ def read_stamped(path: Path) -> tuple[Float64, list[Float64 | None]]:
         DatasetError: a line does not hold 8 numbers, or its time is not finite.
     """
     stamps: list[float] = []
+    lines: list[int] = []
     poses: list[Float64 | None] = []
     unusable = []
     for line, values in read_numbers(path):
         if len(values) != 8:
             raise DatasetError(f"{path}:{line}: {len(values)} numbers; expected t tx ty tz qx qy qz qw")
         t, tx, ty, tz, qx, qy, qz, qw = values
-        if not is_time(t):
-            raise DatasetError(f"{path}:{line}: {t:g} is not a time")
         pose = None
         near = np.isfinite(values).all() and max(map(abs, values[1:])) < _FARTHEST
         if near and abs(np.linalg.norm(values[4:]) - 1.0) < _ROTATION_TOLERANCE:
@@ -86,9 +109,26 @@ def read_stamped(path: Path) -> tuple[Float64, list[Float64 | None]]:
         else:
             unusable.append(line)
         stamps.append(t)
+        lines.append(line)
         poses.append(pose)
     _warn(path, unusable)
-    return np.array(stamps), poses
+    return in_seconds(stamps, path, lines)[0], poses
+
+
+def in_seconds(times: Sequence[float], path: Path, lines: Sequence[int]) -> tuple[Float64, str]:
+    """Return ``times`` of a list in seconds, and the name of the unit they are written in.
+
+    Args:
+        lines: where each stands in the file ``path``.
+
+    Raises:
+        DatasetError: one cannot be a time.
+    """
+    unit = unit_of_times(np.array(times)) or 1.0
+    for line, time in zip(lines, times, strict=True):
+        if not is_time(time / unit):
+            raise DatasetError(f"{path}:{line}: {time:g} is not a time")
+    return np.array(times) / unit if unit != 1.0 else np.array(times), unit_name(unit)
 
 
 def is_time(seconds: float) -> bool:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +25,8 @@ from ggwarp.datasets.images import (
     size_of,
 )
 from ggwarp.datasets.masks import find_masks, find_true_masks
+from ggwarp.datasets.pairing import frame_numbers, in_order
+from ggwarp.datasets.source import NO_SOURCE, Source
 from ggwarp.geometry.camera import Camera
 from ggwarp.io.camera import camera_fault
 from ggwarp.io.guarded import FileError, inside
@@ -93,11 +94,13 @@ class FileSequence:
         *,
         masks: Masks = None,
         least_confidence: int = 1,
+        source: Source = NO_SOURCE,
     ) -> None:
         """Open the sequence.
 
         Args:
             least_confidence: depth of less is left out, where frames have a confidence.
+            source: where its parts come from; what the calibration and the masks know is added here.
 
         Raises:
             DatasetError: there is no frame, no frame is usable, or ``masks`` is wrong.
@@ -109,19 +112,37 @@ class FileSequence:
         self.camera: Camera = calibration.camera
         self._root = root
         self._entries = list(entries)
-        self._scale = calibration.depth_scale
+        self.depth_scale = calibration.depth_scale
+        """What a metre counts in the depth images that are of whole numbers."""
+        self._calibration = calibration
         self._rig = calibration.rig()
         self._least_confidence = least_confidence
         self.stems = [entry.rgb.stem for entry in entries]
         """Each frame's name, as its mask has it."""
         self._masks = find_masks(root, self.stems, masks)
         self._true_masks = find_true_masks(root, self.stems, self._masks)
-        self.has_depth = any(entry.depth for entry in entries)
+        self.frames_with_depth = [i for i, entry in enumerate(entries) if entry.depth]
+        self.has_depth = bool(self.frames_with_depth)
         self.has_masks = self._masks is not None
+        self.source = self._completed(source)
         self._depth_size: Size | None = None  # that of the first that is read
         self._probe()
         if fault := camera_fault(**dataclasses.asdict(self.camera)):
             raise DatasetError(f"{root}: its camera cannot be right: {fault}")
+
+    def _completed(self, source: Source) -> Source:
+        """Return ``source`` with what the calibration and the masks know."""
+        calibration, unread = self._calibration, source.unread
+        if self._masks is not None:  # what they are in is read
+            folder = self._masks.folder
+            unread = tuple(u for u in unread if not folder.is_relative_to(self._root / u.split("/ (")[0]))
+        return dataclasses.replace(
+            source,
+            camera=source.camera or calibration.origin,
+            depth_unit=source.depth_unit or (calibration.depth_unit if self.has_depth else ""),
+            notes=(*source.notes, *calibration.notes),
+            unread=unread,
+        )
 
     def __len__(self) -> int:
         return len(self._entries)
@@ -167,7 +188,7 @@ class FileSequence:
         if entry.depth is None:
             raise FrameError(f"{entry.rgb}: there is no depth image of this frame")
         if isinstance(entry.depth, Path):
-            depth = read_depth(self._inside(entry.depth), scale=self._scale)
+            depth = read_depth(self._inside(entry.depth), scale=self.depth_scale)
         else:
             depth = entry.depth.read()
         if not self._rig.fits(*size_of(depth)):
@@ -211,12 +232,6 @@ class FileSequence:
         raise DatasetError(str(first_error))
 
 
-def frame_number(path: Path) -> int | None:
-    """Return the last whole number in a file's stem (``frame000012`` -> 12); None without one."""
-    numbers = re.findall(r"\d+", path.stem)
-    return int(numbers[-1]) if numbers else None
-
-
 def image_files(folder: Path, prefix: str = "", suffixes: Sequence[str] = COLOUR_SUFFIXES) -> list[Path]:
     """Return ``folder``'s files of ``suffixes``, whose names start with ``prefix``, by number, then name."""
     files = [
@@ -224,23 +239,7 @@ def image_files(folder: Path, prefix: str = "", suffixes: Sequence[str] = COLOUR
         for path in folder.iterdir()
         if path.suffix.lower() in suffixes and path.name.startswith(prefix) and not path.name.startswith(".")
     ]
-
-    def order(path: Path) -> tuple[list[int], str]:
-        return [int(number) for number in re.findall(r"\d+", path.stem)], path.name
-
-    return sorted(files, key=order)
-
-
-def match_by_number(paths: Sequence[Path], others: Sequence[Path]) -> list[Path | None]:
-    """Return, for each of ``paths``, the one of ``others`` with the same stem, else the same number."""
-    by_stem = {other.stem: other for other in others}
-    by_number = {number: other for other in others if (number := frame_number(other)) is not None}
-
-    def match(path: Path) -> Path | None:
-        number = frame_number(path)
-        return by_stem.get(path.stem) or (None if number is None else by_number.get(number))
-
-    return [match(path) for path in paths]
+    return in_order(files)
 
 
 def match_poses(paths: Sequence[Path], poses: Sequence[Float64 | None]) -> list[Float64 | None]:
@@ -251,5 +250,5 @@ def match_poses(paths: Sequence[Path], poses: Sequence[Float64 | None]) -> list[
     """
     if len(poses) == len(paths):
         return list(poses)
-    numbers = [frame_number(path) for path in paths]
+    numbers = frame_numbers(paths)
     return [poses[n] if n is not None and n < len(poses) else None for n in numbers]

@@ -113,6 +113,7 @@ def metrics_of(record: RunRecord, *, wall_s: float, gaussians: int | None) -> di
         "frames_skipped": len(record.skipped),
         "peak_memory_mb": peak_memory_mb(),
         "failures": list(record.failures),
+        "plan": record.plan or None,
     }
 
 

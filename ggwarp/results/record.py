@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from ggwarp.evaluation.evaluate import Evaluation
 from ggwarp.types import Float64, StepReport
@@ -25,6 +26,7 @@ class RunRecord:
         refine_iterations, refine_s: spent on the map after the last frame.
         failure: what ended the run early; None: nothing did.
         failures: one line for each part of the run that failed, ``failure`` included, in order.
+        plan: how the sequence was read, as ``metrics.json`` has it.
         evaluation: pictures and objects against the frames; empty when not done.
     """
 
@@ -42,6 +44,7 @@ class RunRecord:
     refine_s: float = 0.0
     failure: Exception | None = None
     failures: list[str] = field(default_factory=list)
+    plan: dict[str, Any] = field(default_factory=dict)
     evaluation: Evaluation = field(default_factory=Evaluation)
 
     def poses(self) -> dict[int, Float64]:

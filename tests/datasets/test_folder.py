@@ -43,10 +43,14 @@ def test_poses_in_a_file_each(make_folder: Maker, sample: SimpleNamespace) -> No
 
 
 def test_a_pose_file_of_infinities_is_no_pose(make_folder: Maker, caplog: pytest.LogCaptureFixture) -> None:
-    folder = make_folder(1)
+    folder = make_folder(2)
     (folder / "pose").mkdir()
     np.savetxt(folder / "pose/0.txt", np.full((4, 4), -np.inf))
-    assert open_sequence(folder)[0].T_wc is None and "0.txt" in caplog.text
+    np.savetxt(folder / "pose/1.txt", np.full((4, 4), np.nan))
+    assert open_sequence(folder)[0].T_wc is None
+    assert [r.getMessage().partition(": ")[2] for r in caplog.records] == [
+        "2 of its files hold no pose (0.txt, 1.txt): frames without truth"
+    ]
 
 
 CAMERA = Camera(24, 16, 20.0, 21.0, 11.5, 7.5)
@@ -62,9 +66,16 @@ CAMERA = Camera(24, 16, 20.0, 21.0, 11.5, 7.5)
             "camera_intrinsic.json",
             json.dumps({"width": 24, "height": 16, "intrinsic_matrix": [20, 0, 0, 0, 21, 0, 11.5, 7.5, 1]}),
         ),
+        (
+            "camera_intrinsic.json",
+            json.dumps({"width": 24, "height": 16, "intrinsic_matrix": [20, 0, 11.5, 0, 21, 7.5, 0, 0, 1]}),
+        ),
+        ("intrinsic.json", json.dumps({"intrinsic_matrix": [[20, 0, 11.5], [0, 21, 7.5], [0, 0, 1]]})),
         ("calibration.txt", "# fx fy cx cy\n20 21 11.5 7.5\n"),
         ("calibration.txt", "20, 21, 11.5, 7.5, 0, 0, 0, 0, 0"),
         ("intrinsics.txt", "20 0 11.5\n0 21 7.5\n0 0 1\n"),
+        ("intrinsics.txt", "20 0 11.5 0 21 7.5 0 0 1"),
+        ("intrinsics.txt", "20 0 0\n0 21 0\n11.5 7.5 1\n"),
         ("intrinsics.txt", "20 0 11.5 0\n0 21 7.5 0\n0 0 1 0\n0 0 0 1\n"),
     ],
 )
@@ -80,6 +91,57 @@ def test_a_camera_file_of_another_form(make_folder: Maker, text: str) -> None:
     (folder / "intrinsics.txt").write_text(text)
     with pytest.raises(DatasetError, match=r"intrinsics\.txt: expected one line"):
         open_sequence(folder)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ({"fx": 0.5, "fy": 0.9, "cx": 0.5, "cy": 0.5}, "as of normalised intrinsics .* multiply fx and cx"),
+        ({"camera_model": "OPENCV_FISHEYE"}, "camera_model 'OPENCV_FISHEYE' is not read; undistort"),
+        ({"distortion_model": "equidistant"}, "distortion_model 'equidistant' is not read"),
+        ({"fy": -21}, "fy is -21; it must be positive: y points down here"),
+        ({"cx": 50, "cy": 40}, "lies outside the 24x16 images: are they of another size"),
+    ],
+)
+def test_cameras_that_cannot_be_right(make_folder: Maker, text: dict, says: str) -> None:
+    folder = make_folder(1)
+    good = {"fx": 20, "fy": 21, "cx": 11.5, "cy": 7.5}
+    (folder / "camera.json").write_text(json.dumps(good | text))
+    with pytest.raises(DatasetError, match=says):
+        open_sequence(folder)
+
+
+def test_odd_camera_files_are_noted(make_folder: Maker) -> None:
+    folder = make_folder(1, camera=False)
+    (folder / "intrinsics.txt").write_text("20 0 0\n0 21 0\n11.5 7.5 1\n")
+    assert "written by columns" in open_sequence(folder).source.notes[0]
+    (folder / "camera.json").write_text(
+        json.dumps({"fx": 20, "fy": 21, "cx": 11.5, "cy": 7.5, "camera_model": "Brand X"})
+    )
+    assert "camera_model 'Brand X' is not known" in open_sequence(folder).source.notes[0]
+
+
+def test_a_depth_scale_beside_the_camera_counts(make_folder: Maker) -> None:
+    folder = make_folder(1)
+    camera = {"fx": 20, "fy": 21, "cx": 11.5, "cy": 7.5}
+    (folder / "camera.json").write_text(json.dumps({"camera": camera, "scale": 5000}))
+    dataset = open_sequence(folder)
+    assert (
+        dataset.depth_scale == 5000.0 and dataset.source.depth_unit == "5000 units a metre, from camera.json"
+    )
+
+
+def test_intrinsics_leave_the_files_depth_scale_and_distortion(make_folder: Maker) -> None:
+    folder = make_folder(1)
+    camera = {"fx": 99, "fy": 21, "cx": 11.5, "cy": 7.5, "scale": 500, "distortion": [0.01, 0, 0, 0]}
+    (folder / "camera.json").write_text(json.dumps(camera))
+    dataset = open_sequence(folder, intrinsics=(20.0, 21.0, 11.5, 7.5))
+    depth = dataset[0].depth
+    assert dataset.camera == CAMERA and depth is not None and depth[5, 5] == 2.0
+    assert dataset.source.camera == "--intrinsics and camera.json"
+    (folder / "camera.json").unlink()
+    dataset = open_sequence(folder, intrinsics=(20.0, 21.0, 11.5, 7.5))
+    assert dataset.source.camera == "--intrinsics" and "assumed" in dataset.source.depth_unit
 
 
 def test_no_camera_file_says_what_to_write(make_folder: Maker) -> None:
@@ -101,10 +163,38 @@ def test_colour_alone_needs_a_camera(make_folder: Maker) -> None:
         open_sequence(folder)
 
 
+def test_nerfstudios_depth_folder_and_any_case(make_folder: Maker) -> None:
+    folder = make_folder(2)
+    (folder / "depth").rename(folder / "depths")
+    assert open_sequence(folder).has_depth
+    (folder / "color").rename(folder / "RGB")
+    (folder / "depths").rename(folder / "Depth")
+    assert recognises(folder) and open_sequence(folder).source.layout == "a plain folder, RGB/ and Depth/"
+
+
+def test_depth_of_a_kind_that_is_not_read_is_named(make_folder: Maker) -> None:
+    folder = make_folder(2, with_depth=False)
+    (folder / "depth").mkdir()
+    for i in range(2):
+        (folder / f"depth/{i}.raw16").touch()
+    with pytest.raises(DatasetError, match=r"depth: holds 2 \.raw16, but depth is read from"):
+        open_sequence(folder)
+
+
+def test_names_that_are_times_are_the_frames_times(make_folder: Maker) -> None:
+    folder = make_folder(3)
+    for i in range(3):
+        (folder / f"color/{i}.png").rename(folder / f"color/{100 + 0.5 * i:.3f}.png")
+        (folder / f"depth/{i}.png").rename(folder / f"depth/{100.006 + 0.5 * i:.3f}.png")
+    frame = open_sequence(folder)[2]
+    assert frame.timestamp == 1.0 and frame.depth_timestamp == 1.006
+    assert frame.depth is not None and frame.depth[5, 5] == np.float32(1.002)
+
+
 def test_depth_of_other_names(make_folder: Maker) -> None:
     folder = make_folder(1)
     (folder / "depth/0.png").rename(folder / "depth/a.png")
-    with pytest.raises(DatasetError, match="no image in depth/ has the name or number"):
+    with pytest.raises(DatasetError, match="the names do not tell which depth images belong to which colour"):
         open_sequence(folder)
 
 

@@ -13,8 +13,10 @@ from pathlib import Path
 from ggwarp.datasets.base import DatasetError, Kind, Masks
 from ggwarp.datasets.calibration import find_camera_file, read_calibration
 from ggwarp.datasets.images import image_size
+from ggwarp.datasets.pairing import pair_files
 from ggwarp.datasets.poses import read_matrices
-from ggwarp.datasets.sequence import Entry, FileSequence, image_files, match_by_number, match_poses
+from ggwarp.datasets.sequence import Entry, FileSequence, image_files, match_poses
+from ggwarp.datasets.source import Source, unread_entries
 
 log = logging.getLogger(__name__)
 
@@ -24,8 +26,11 @@ _RATE = 30.0
 
 
 def recognises(path: Path) -> bool:
-    """Return whether ``path`` is a scene in this layout."""
-    return (path / "results").is_dir() or ((path / "images").is_dir() and (path / "depth_images").is_dir())
+    """Return whether ``path`` is a scene in this layout: other programs have folders named results, too."""
+    if (path / "results").is_dir():
+        others = any((path / name).is_dir() for name in ("color", "rgb"))
+        return not others or any((path / "results").glob("frame*"))
+    return (path / "images").is_dir() and (path / "depth_images").is_dir()
 
 
 def open_sequence(path: Path, masks: Masks = None) -> FileSequence:
@@ -44,17 +49,31 @@ def open_sequence(path: Path, masks: Masks = None) -> FileSequence:
     scene = path.resolve()
     camera_file = find_camera_file([scene, scene.parent], ["cam_params.json"])
     calibration = read_calibration(camera_file, depth_scale=_DEPTH_SCALE, size=image_size(colour[:3]))
-    poses = read_matrices(path / "traj.txt") if (path / "traj.txt").is_file() else []
+    truth = path / "traj.txt"
+    poses = read_matrices(truth) if truth.is_file() else []
     if poses and len(poses) != len(colour):
         log.warning(
             "%s: %d poses for %d images; each image takes the line of its number",
-            path / "traj.txt",
+            truth,
             len(poses),
             len(colour),
         )
-    matched = zip(colour, match_by_number(colour, depth), match_poses(colour, poses), strict=True)
-    entries = [Entry(rgb, d, i / _RATE, T_wc) for i, (rgb, d, T_wc) in enumerate(matched)]
-    return FileSequence(path, "replica", entries, calibration, masks=masks)
+    pairing = pair_files(colour, depth, "colour images", "depth images")
+    matched = zip(colour, pairing.partners, match_poses(colour, poses), strict=True)
+    entries = [
+        Entry(rgb, depth[d] if d >= 0 else None, i / _RATE, T_wc) for i, (rgb, d, T_wc) in enumerate(matched)
+    ]
+    known = sum(entry.T_wc is not None for entry in entries)
+    folder = colour[0].parent
+    read = {folder, truth, path / camera_file.name, *([depth[0].parent] if depth else [])}
+    source = Source(
+        layout=f"Replica's layout, {folder.name}/",
+        pairing=pairing.summary("colour images", "depth images") if depth else "",
+        truth=f"traj.txt, poses of {known} of {len(colour)} frames, camera-to-world" if poses else "",
+        notes=tuple(pairing.notes),
+        unread=unread_entries(path, read),
+    )
+    return FileSequence(path, "replica", entries, calibration, masks=masks, source=source)
 
 
 KIND = Kind("replica", "results/ (or images/ and depth_images/)", recognises, open_sequence)

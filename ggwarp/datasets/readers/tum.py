@@ -12,29 +12,28 @@ lens model says there). Undistorting depth as well would bend it the wrong way.
 
 from __future__ import annotations
 
-import logging
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ggwarp.datasets.base import DatasetError, Kind, Masks
 from ggwarp.datasets.calibration import CAMERA_FILES, Calibration, find_camera_file, read_calibration
 from ggwarp.datasets.images import image_size
-from ggwarp.datasets.poses import is_time, read_stamped
+from ggwarp.datasets.pairing import TIME_TOLERANCE as DEPTH_TOLERANCE
+from ggwarp.datasets.pairing import pair_times
+from ggwarp.datasets.poses import in_seconds, read_stamped
 from ggwarp.datasets.sequence import Entry, FileSequence
+from ggwarp.datasets.source import Source, unread_entries
 from ggwarp.datasets.text import parse_float, read_lines
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
-from ggwarp.io.printable import printable, shown
+from ggwarp.io.printable import shown
 from ggwarp.types import Float64
 
-log = logging.getLogger(__name__)
-
-DEPTH_TOLERANCE = 0.02
-"""Largest time between a colour and its depth image, seconds."""
 POSE_GAP = 0.11
 """Largest time between two true poses for one between them to be told from both, seconds: three frames."""
 POSE_TOLERANCE = 0.005
@@ -77,6 +76,7 @@ def recognises(path: Path) -> bool:
 def open_sequence(path: Path, masks: Masks = None) -> FileSequence:
     """Open a recording; colour images without a depth image within 0.02 s are left out.
 
+    Lists may be in any order and in s, ms, us or ns; no depth image is used twice.
     An image's true pose is the one of its time, or else lies between those before and after it.
 
     Raises:
@@ -89,43 +89,45 @@ def open_sequence(path: Path, masks: Masks = None) -> FileSequence:
                 f"{path}: {name} is missing; copy it again ({there} makes this a TUM recording, whose depth "
                 f"has a scale of its own; without {' and '.join(LISTS)} it is read as a plain folder)"
             )
-    rgb_stamps, rgb_files = _read_list(path / "rgb.txt")
-    depth_stamps, depth_files = _read_list(path / "depth.txt")
+    rgb, depth = _read_list(path / "rgb.txt"), _read_list(path / "depth.txt")
     truth = path / "groundtruth.txt"
     pose_stamps, poses = read_stamped(truth) if truth.exists() else (np.zeros(0), [])
-    true_poses = interpolated(rgb_stamps, pose_stamps, poses)
-    depth_of = nearest(rgb_stamps, depth_stamps, tolerance=DEPTH_TOLERANCE)
+    true_poses = interpolated(rgb.stamps, pose_stamps, poses)
+    pairing = pair_times(rgb.stamps, depth.stamps, tolerance=DEPTH_TOLERANCE)
     entries = [
-        Entry(rgb, depth_files[d], float(stamp), T_wc, float(depth_stamps[d]))
-        for rgb, stamp, d, T_wc in zip(rgb_files, rgb_stamps, depth_of, true_poses, strict=True)
+        Entry(file, depth.files[d], float(stamp), T_wc, float(depth.stamps[d]))
+        for file, stamp, d, T_wc in zip(rgb.files, rgb.stamps, pairing.partners, true_poses, strict=True)
         if d >= 0
     ]
     if not entries:
         raise DatasetError(
-            f"{path}: no colour and depth image within {DEPTH_TOLERANCE} s of each other "
-            f"(rgb.txt lists {len(rgb_files)}, depth.txt {len(depth_files)})"
+            f"{path}: no colour and depth image within {DEPTH_TOLERANCE} s of each other (rgb.txt lists "
+            f"{len(rgb.files)}{_span(rgb.stamps)}, depth.txt {len(depth.files)}{_span(depth.stamps)})"
         )
-    if len(entries) < len(rgb_files):
-        unpaired = len(rgb_files) - len(entries)
-        log.info("%s: %d of %d colour images have no depth in time", path, unpaired, len(rgb_files))
-    without = sum(entry.T_wc is None for entry in entries)
-    if without and truth.exists():
-        log.info("%s: %d of %d frames have no true pose in time", truth, without, len(entries))
-    return FileSequence(path, "tum", entries, _calibration(path, entries), masks=masks)
+    known = sum(entry.T_wc is not None for entry in entries)
+    notes = [*rgb.notes, *depth.notes]
+    if truth.exists() and not known:
+        notes.append(
+            f"groundtruth.txt has {len(poses)} poses{_span(pose_stamps)}, but none within {POSE_GAP:g} s of "
+            f"an image{_span(rgb.stamps)}: nothing is measured; is it of another clock?"
+        )
+    read = {path / name for name in (*LISTS, *CAMERA_FILES)} | {
+        path / file.relative_to(path).parts[0]
+        for file in (*rgb.files[:1], *depth.files[:1])
+        if file.is_relative_to(path)
+    }
+    source = Source(
+        layout="TUM RGB-D's layout, rgb.txt and depth.txt",
+        pairing=pairing.summary("colour images", "depth images"),
+        truth=f"groundtruth.txt, poses of {known} of {len(entries)} frames" if truth.exists() else "",
+        notes=tuple(notes),
+        unread=unread_entries(path, read),
+    )
+    return FileSequence(path, "tum", entries, _calibration(path, entries), masks=masks, source=source)
 
 
-def nearest(stamps: Float64, others: Float64, *, tolerance: float) -> np.ndarray:
-    """Return, for each of ``stamps`` [n], the index of the nearest of ``others`` [m]; -1 = none in reach."""
-    if not len(others):
-        return np.full(len(stamps), -1)
-    order = np.argsort(others, kind="stable")
-    ranked = others[order]
-    after = np.searchsorted(ranked, stamps).clip(1, max(len(others) - 1, 1))
-    pair = np.stack([after - 1, after.clip(max=len(others) - 1)])
-    distance = np.abs(ranked[pair] - stamps)
-    closer = np.argmin(distance, axis=0)
-    columns = np.arange(len(stamps))
-    return np.where(distance[closer, columns] <= tolerance, order[pair[closer, columns]], -1)
+def _span(stamps: Float64) -> str:
+    return f" ({stamps.min():.2f} to {stamps.max():.2f} s)" if len(stamps) else ""
 
 
 def interpolated(stamps: Float64, others: Float64, poses: Sequence[Float64 | None]) -> list[Float64 | None]:
@@ -161,17 +163,32 @@ def _between(first: Any, second: Any, share: float) -> Float64:
     return T
 
 
-def _read_list(path: Path) -> tuple[Float64, list[Path]]:
-    stamps, files = [], []
+class _Listed(NamedTuple):
+    """What a list names: files and their times, in order of time; and what is odd about it."""
+
+    stamps: Float64
+    files: list[Path]
+    notes: list[str]
+
+
+def _read_list(path: Path) -> _Listed:
+    times, files, lines = [], [], []
     for line, words in read_lines(path):
         if len(words) != 2:
             raise DatasetError(f"{path}:{line}: {shown(' '.join(words))}; expected a time and a file name")
-        stamp = parse_float(words[0], path, line)
-        if not is_time(stamp):
-            raise DatasetError(f"{path}:{line}: {printable(words[0])} is not a time")
-        stamps.append(stamp)
+        times.append(parse_float(words[0], path, line))
         files.append(path.parent / words[1])
-    return np.array(stamps), files
+        lines.append(line)
+    stamps, unit = in_seconds(times, path, lines)
+    notes = [] if unit == "s" else [f"{path.name}: its times are taken for {unit}, by their size"]
+    order = np.argsort(stamps, kind="stable").tolist()
+    if order != list(range(len(stamps))):
+        notes.append(f"{path.name}: is not in order of time, and is sorted")
+    seen: set[Path] = set()
+    kept = [i for i in order if not (files[i] in seen or seen.add(files[i]))]
+    if len(kept) < len(order):
+        notes.append(f"{path.name}: names {len(order) - len(kept)} files again; they are used once")
+    return _Listed(stamps[kept], [files[i] for i in kept], notes)
 
 
 def _calibration(path: Path, entries: list[Entry]) -> Calibration:
@@ -184,7 +201,8 @@ def _calibration(path: Path, entries: list[Entry]) -> Calibration:
             f"{path}: which camera? Its name has no freiburg1, 2 or 3; write a calibration.txt there: "
             "fx fy cx cy [k1 k2 p1 p2 k3]"
         )
-    return _CAMERAS[f"freiburg{match[1]}"]
+    origin = f"the benchmark's freiburg{match[1]}"
+    return replace(_CAMERAS[f"freiburg{match[1]}"], origin=origin, scale_origin=origin)
 
 
 KIND = Kind("tum", "rgb.txt, depth.txt, groundtruth.txt", recognises, open_sequence)

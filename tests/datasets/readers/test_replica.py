@@ -214,3 +214,11 @@ def test_real_recordings(
     valid = frame.depth[frame.depth > 0]
     assert 0.3 < valid.min() and valid.max() < 10.0
     np.testing.assert_allclose(se3.orthonormalised(frame.T_wc), frame.T_wc, atol=1e-5)
+
+
+def test_another_programs_results_beside_a_recording(make_folder: Maker) -> None:
+    folder = make_folder(2)
+    (folder / "results").mkdir()
+    (folder / "results/stats.json").touch()
+    dataset = open_dataset(str(folder), data_root=folder)
+    assert dataset.kind == "folder" and len(dataset) == 2

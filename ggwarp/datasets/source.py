@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the parts of a sequence come from, as its reader knows it: said before a run, and kept with it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from ggwarp.io.printable import printable
+
+_MOST_SHOWN = 6
+_OURS = frozenset({"README", "README.txt", "README.md", "LICENSE", "LICENSE.txt"})
+"""Files that tell people something."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """What a reader knows of where a sequence's parts come from; empty: it does not say.
+
+    Attributes:
+        layout: what kind of folder or file, in words, such as "Replica, results/".
+        pairing: how colour and depth were paired, see :meth:`ggwarp.datasets.pairing.Pairing.summary`.
+        camera: the file or option that gives the camera.
+        depth_unit: what a metre counts in the files and who says so, such as "1000 a metre (camera.json)".
+        truth: the file of true poses, how many there are and by which convention.
+        notes: what may be wrong, a line each: shown as warnings.
+        unread: what is there and is not read, such as "depths/ (20 .png)".
+    """
+
+    layout: str = ""
+    pairing: str = ""
+    camera: str = ""
+    depth_unit: str = ""
+    truth: str = ""
+    notes: tuple[str, ...] = ()
+    unread: tuple[str, ...] = ()
+
+
+NO_SOURCE = Source()
+
+
+def source_of(dataset: object) -> Source:
+    """Return the source of a data set, or of the one that it wraps; an empty one where none is told."""
+    while not isinstance(found := getattr(dataset, "source", None), Source):
+        inner = getattr(dataset, "inner", None)
+        if inner is None:
+            return NO_SOURCE
+        dataset = inner
+    return found
+
+
+def unread_entries(folder: Path, read: Iterable[Path]) -> tuple[str, ...]:
+    """Return what lies in ``folder`` and is not among ``read`` (files, or whole folders), in words.
+
+    Hidden files and what only people read is passed over; of a folder, its name and what is in it are told.
+    """
+    known = set(read)
+    found: list[str] = []
+    files: list[Path] = []
+    try:
+        entries = sorted(folder.iterdir())
+    except OSError:
+        return ()
+    for path in entries:
+        if path in known or path.name.startswith(".") or path.name in _OURS:
+            continue
+        if path.is_dir():
+            found.append(f"{printable(path.name)}/ ({contents(path)})")
+        else:
+            files.append(path)
+    if len(files) > _MOST_SHOWN:
+        found.append(count_by_suffix(files))
+    else:
+        found += [printable(path.name) for path in files]
+    return tuple(found)
+
+
+def contents(folder: Path) -> str:
+    """Return what a folder holds in words: "20 .png, 1 .json", "2 folders", "empty"."""
+    try:
+        entries = list(folder.iterdir())
+    except OSError:
+        return "cannot be read"
+    folders = sum(path.is_dir() for path in entries)
+    files = [path for path in entries if path.suffix and not path.name.startswith(".")]
+    parts = [count_by_suffix(files)] if files else []
+    if folders:
+        parts.append(f"{folders} folder{'s' * (folders > 1)}")
+    return ", ".join(parts) or "empty"
+
+
+def count_by_suffix(files: Iterable[Path]) -> str:
+    """Return how many of ``files`` there are of each kind, the most first: "20 .png, 1 .json"."""
+    counts: dict[str, int] = {}
+    for path in files:
+        counts[path.suffix.lower()] = counts.get(path.suffix.lower(), 0) + 1
+    ranked = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
+    shown = [f"{count} {printable(suffix) or 'without a suffix'}" for suffix, count in ranked[:_MOST_SHOWN]]
+    return ", ".join(shown + ["..."] * (len(ranked) > _MOST_SHOWN))
