@@ -15,6 +15,7 @@ from ggwarp import __version__
 COMMANDS: dict[str, tuple[str, str]] = {
     "run": ("ggwarp.run", "follow a recording's camera, and learn a map of its room"),
     "objects": ("ggwarp.editing.__main__", "list, show, remove, move, paint and name a run's objects"),
+    "inspect": ("ggwarp.commands.inspect_sequence", "say what a recording is taken for, and show its frames"),
     "doctor": ("ggwarp.commands.doctor", "say what this machine has, what is missing, and how to get it"),
     "download": ("ggwarp.commands.download", "fetch a sequence from its official archive"),
     "segment": ("ggwarp.commands.segment", "write object masks with an image segmenter"),

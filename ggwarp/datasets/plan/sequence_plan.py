@@ -72,7 +72,8 @@ class SequencePlan:
 def plan_sequence(dataset: Dataset, indices: Sequence[int] | None = None) -> SequencePlan:
     """Look at a few frames of ``dataset`` and say what it is taken for.
 
-    A built-in scene is not looked at: it is what it is, and rendering it costs.
+    A built-in scene is not looked at: it is what it is, and rendering it costs. Nor is one with an attribute
+    ``live`` that is true, whose frames come once.
 
     Args:
         indices: the frames that will be used; None: all.
@@ -81,11 +82,12 @@ def plan_sequence(dataset: Dataset, indices: Sequence[int] | None = None) -> Seq
         DatasetError: its depth cannot be what it is taken for.
     """
     source, camera = source_of(dataset), dataset.camera
-    used = range(len(dataset)) if indices is None else indices
+    used = list(range(len(dataset)) if indices is None else indices)
     if with_depth := set(_attribute(dataset, "frames_with_depth") or ()):
         used = [i for i in used if i in with_depth] or used
-    known = dataset.kind == "synthetic"
-    chosen = [] if known else sorted({used[i] for i in np.linspace(0, len(used) - 1, SAMPLES).astype(int)})
+    known = dataset.kind == "synthetic" or bool(_attribute(dataset, "live"))
+    places = np.linspace(0, len(used) - 1, SAMPLES).astype(int).tolist()
+    chosen: list[int] = [] if known else sorted({used[place] for place in places})
     frames, bad = _looked_at(dataset, chosen)
     images = [frame.depth for frame in frames if frame.depth is not None]
     median, share = depth_statistics(images)

@@ -193,7 +193,7 @@ def _read_list(path: Path) -> _Listed:
 
 def _calibration(path: Path, entries: list[Entry]) -> Calibration:
     if any((path / name).is_file() for name in CAMERA_FILES):
-        size = image_size([entry.rgb for entry in entries[:3]])
+        size = image_size([entry.rgb for entry in entries[:3] if isinstance(entry.rgb, Path)])
         return read_calibration(find_camera_file([path]), depth_scale=_DEPTH_SCALE, size=size)
     match = re.search(r"(?:freiburg|fr)([123])(?!\d)", path.resolve().name)
     if match is None:
