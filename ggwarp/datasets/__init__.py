@@ -42,7 +42,22 @@ __all__ = [
 
 BUILT_IN = ("office", "synthetic", "wall")
 """Names that always mean a built-in scene: the wall, or the office."""
-OWN_KINDS = ("readers.replica", "readers.tum", "folder")
+OWN_KINDS = (
+    "readers.stray",
+    "readers.record3d",
+    "readers.polycam",
+    "readers.scanner_app",
+    "readers.arkitscenes",
+    "readers.scannetpp",
+    "readers.scannet",
+    "readers.sens",
+    "readers.seven_scenes",
+    "readers.nerfstudio",
+    "readers.colmap",
+    "readers.replica",
+    "readers.tum",
+    "folder",
+)
 """The modules of the layouts that are read, in the order they are tried."""
 FALLBACK = "office0"
 """The one sequence that the built-in office stands in for where Replica is absent."""
@@ -100,6 +115,11 @@ def open_dataset(
         layouts = "; ".join(f"{kind.name}: {kind.layout}" for kind in kinds)
         raise DatasetError(f"{folders[0]}: holds no sequence that is recognised ({layouts})")
     files = [path for path in candidates if path.is_file()]
+    for path in files:
+        for kind in kinds:
+            if path.suffix.lower() in kind.suffixes:
+                _no_intrinsics(f"{path} ({kind.name})", intrinsics)
+                return kind.open(path, masks)
     if files:
         return _video(files[0], intrinsics)
     if seq == FALLBACK:

@@ -26,7 +26,7 @@ class Dataset(Protocol):
 
     Attributes:
         name: the sequence's name.
-        kind: "replica", "tum", "folder", "video" or "synthetic".
+        kind: the layout that it is read from: "replica", "tum", "folder", "video", "synthetic", ...
         camera: the camera of every frame, at its native size.
         has_depth: whether frames carry depth.
         has_masks: whether frames carry object masks (single ones may still be missing).
@@ -118,6 +118,7 @@ class Kind:
         layout: what marks such a folder, for messages.
         recognises: whether a folder is of this kind; only looks at names.
         open: opens a folder of this kind; raises DatasetError.
+        suffixes: of the files, as a folder's stead, that are of this kind, such as ".r3d".
         takes_intrinsics: whether ``open`` takes the camera's, or None, as a third argument.
     """
 
@@ -126,6 +127,7 @@ class Kind:
     recognises: Callable[[Path], bool]
     open: Callable[..., Dataset]
     takes_intrinsics: bool = False
+    suffixes: tuple[str, ...] = ()
 
 
 KINDS: list[Kind] = []

@@ -15,6 +15,7 @@ from ggwarp.datasets.base import DatasetError
 from ggwarp.datasets.formats.camera_file import JSON_EXAMPLE, camera_values, in_full, lens_notes
 from ggwarp.datasets.poses import rigid
 from ggwarp.datasets.rig import Lens, Rig
+from ggwarp.datasets.text import numbers_of
 from ggwarp.geometry.camera import Camera
 from ggwarp.io.camera import camera_fault, finite_number, size_fault
 from ggwarp.io.printable import shown
@@ -236,13 +237,8 @@ def _lens(values: dict[str, Any], path: Path, size: tuple[int, int] | None) -> L
 
 def _pose(value: Any, path: Path) -> Float64:
     """Return the rigid motion [4, 4] that a camera file gives as 16 numbers, or four rows of four."""
-    flat = (
-        [x for row in value for x in (row if isinstance(row, list) else [row])]
-        if isinstance(value, list)
-        else []
-    )
-    numbers = [finite_number(x) for x in flat]
-    T = None if len(numbers) != 16 or None in numbers else rigid(np.array(numbers, np.float64).reshape(4, 4))
+    numbers = numbers_of(value, 16)
+    T = None if numbers is None else rigid(np.array(numbers).reshape(4, 4))
     if T is None:
         raise DatasetError(
             f"{path}: T_color_depth is {shown(value)}; expected a rigid motion, four rows of four numbers "

@@ -195,9 +195,7 @@ def decode_depth(data: bytes, path: Path, *, scale: float, size: Size | None = N
     if size_of(raw) != (size or found):
         raise WrongSizeError(path, size_of(raw), size or found)
     if raw.ndim == 2 and raw.dtype.kind == "f":
-        depth = raw.astype(np.float32)
-        depth[~(np.isfinite(depth) & (depth > 0.0))] = 0.0
-        return depth
+        return metres(raw)
     if raw.ndim != 2 or raw.dtype.kind not in "ui" or raw.dtype.itemsize < 2:
         channels = 1 if raw.ndim == 2 else raw.shape[2]
         raise FrameError(
@@ -206,6 +204,13 @@ def decode_depth(data: bytes, path: Path, *, scale: float, size: Size | None = N
         )
     depth = np.divide(raw, scale, dtype=np.float32)
     depth[(raw < 0) | (raw == _NO_READING)] = 0.0
+    return depth
+
+
+def metres(raw: NDArray) -> Float32:
+    """Return depth in metres [h, w] float32 where what is not finite, or not in front, is no reading."""
+    depth = raw.astype(np.float32)
+    depth[~(np.isfinite(depth) & (depth > 0.0))] = 0.0
     return depth
 
 

@@ -100,13 +100,8 @@ def read_stamped(path: Path) -> tuple[Float64, list[Float64 | None]]:
         if len(values) != 8:
             raise DatasetError(f"{path}:{line}: {len(values)} numbers; expected t tx ty tz qx qy qz qw")
         t, tx, ty, tz, qx, qy, qz, qw = values
-        pose = None
-        near = np.isfinite(values).all() and max(map(abs, values[1:])) < _FARTHEST
-        if near and abs(np.linalg.norm(values[4:]) - 1.0) < _ROTATION_TOLERANCE:
-            pose = np.eye(4)
-            pose[:3, :3] = se3.matrix_from_quat([qw, qx, qy, qz])
-            pose[:3, 3] = tx, ty, tz
-        else:
+        pose = pose_from_quaternion((tx, ty, tz), (qx, qy, qz, qw))
+        if pose is None:
             unusable.append(line)
         stamps.append(t)
         lines.append(line)
@@ -129,6 +124,24 @@ def in_seconds(times: Sequence[float], path: Path, lines: Sequence[int]) -> tupl
         if not is_time(time / unit):
             raise DatasetError(f"{path}:{line}: {time:g} is not a time")
     return np.array(times) / unit if unit != 1.0 else np.array(times), unit_name(unit)
+
+
+def pose_from_quaternion(position: Sequence[float], xyzw: Sequence[float]) -> Float64 | None:
+    """Return the pose [4, 4] of a position and a quaternion, x y z w; None where they are none."""
+    values = [*position, *xyzw]
+    near = np.isfinite(values).all() and max(map(abs, values)) < _FARTHEST
+    if not near or abs(np.linalg.norm(xyzw) - 1.0) >= _ROTATION_TOLERANCE:
+        return None
+    x, y, z, w = xyzw
+    pose = np.eye(4)
+    pose[:3, :3] = se3.matrix_from_quat([w, x, y, z])
+    pose[:3, 3] = position
+    return pose
+
+
+def opencv_axes(pose: Float64 | None) -> Float64 | None:
+    """Return a camera-to-world pose of a camera that looks along -z with y up (OpenGL, ARKit) in ours."""
+    return None if pose is None else pose @ np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def is_time(seconds: float) -> bool:

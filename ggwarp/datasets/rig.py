@@ -8,6 +8,7 @@ is to be registered), and intrinsics that change from frame to frame as a phone 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -155,6 +156,14 @@ class Rig:
         assert self._depth is not None
         target = self.camera if self._T is None else self._ideal_depth
         return None if self._depth == Lens(target) else _Map.undistorting(self._depth, target)
+
+
+def typical_camera(cameras: Sequence[Camera]) -> Camera:
+    """Return the camera of median focal lengths and centre of ``cameras``, all of the first one's size."""
+    first = cameras[0]
+    values = [(c.fx, c.fy, c.cx, c.cy) for c in cameras if (c.width, c.height) == (first.width, first.height)]
+    fx, fy, cx, cy = np.median(np.array(values), axis=0).tolist()
+    return Camera(first.width, first.height, fx, fy, cx, cy)
 
 
 def _fitted(depth: Float32, camera: Camera) -> Float32:

@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 from ggwarp.io.printable import printable
 
@@ -98,3 +99,53 @@ def count_by_suffix(files: Iterable[Path]) -> str:
     ranked = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
     shown = [f"{count} {printable(suffix) or 'without a suffix'}" for suffix, count in ranked[:_MOST_SHOWN]]
     return ", ".join(shown + ["..."] * (len(ranked) > _MOST_SHOWN))
+
+
+class HasDepthAndPose(Protocol):
+    """A frame's entry, as far as :func:`recorder_source` looks at it."""
+
+    @property
+    def depth(self) -> object: ...
+    @property
+    def T_wc(self) -> object: ...
+    @property
+    def confidence(self) -> object: ...
+
+
+def recorder_source(
+    layout: str,
+    entries: Sequence[HasDepthAndPose],
+    *,
+    camera: str,
+    depth_unit: str,
+    truth: str,
+    unread: tuple[str, ...] = (),
+) -> Source:
+    """Return the source of what a recorder wrote: names tell what belongs together, the layout what is what.
+
+    Args:
+        layout, camera, depth_unit, unread: as :class:`Source` has them.
+        truth: where poses come from, such as "odometry.csv, by ARKit".
+    """
+    count = len(entries)
+    depth, sure, poses = (
+        sum(getattr(entry, name) is not None for entry in entries) for name in ("depth", "confidence", "T_wc")
+    )
+    pairing = "by name"
+    if 0 < depth < count:
+        pairing += f"; {count - depth} of {count} colour images have no depth"
+    if sure:
+        pairing += "; depth of least confidence is left out"
+    return Source(
+        layout=layout,
+        pairing=pairing if depth else "",
+        camera=camera,
+        depth_unit=depth_unit if depth else "",
+        truth=f"{truth}, poses of {poses} of {count} frames" if poses else "",
+        unread=unread,
+    )
+
+
+def whole_numbers(files: Iterable[Path]) -> dict[int, Path]:
+    """Return the files whose stem is a whole number, by it."""
+    return {int(f.stem): f for f in files if f.stem.isascii() and f.stem.isdigit() and len(f.stem) < 19}

@@ -5,9 +5,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from ggwarp.datasets.base import DatasetError
 from ggwarp.io import guarded
+from ggwarp.io.camera import finite_number
 from ggwarp.io.printable import shown
 
 
@@ -21,6 +23,30 @@ def read_text(path: Path) -> str:
         return guarded.read_text(path, guarded.LIST)
     except guarded.FileError as error:
         raise DatasetError(str(error)) from error
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Return the object that the JSON file ``path`` holds.
+
+    Raises:
+        DatasetError: the file cannot be read, or holds something else.
+    """
+    try:
+        values = guarded.read_json(path, guarded.LIST)
+    except guarded.FileError as error:
+        raise DatasetError(str(error)) from error
+    if not isinstance(values, dict):
+        raise DatasetError(f"{path}: is not a JSON object; copy it again")
+    return values
+
+
+def numbers_of(values: Any, count: int) -> list[float] | None:
+    """Return the ``count`` finite numbers of a list, or of a list of rows; None where it is none."""
+    if not isinstance(values, list):
+        return None
+    flat = [x for row in values for x in (row if isinstance(row, list) else [row])]
+    found = [number for x in flat if (number := finite_number(x)) is not None]
+    return found if len(found) == len(flat) == count else None
 
 
 def read_lines(path: Path) -> Iterator[tuple[int, list[str]]]:

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Data sets as they are distributed: each is opened, and its truth agrees with its pictures."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from distributed_data_sets import LAYOUTS, bundle_fusion, colmap, nerfstudio, scannet, scannetpp, sens, table
+from ggwarp.datasets import DatasetError, FrameError, open_dataset
+from ggwarp.geometry import se3
+from ggwarp.geometry.camera import Camera
+from phone_recordings import FRAMES, opened, write
+from recorded_scene import COLOUR, check_truth, look, millimetres, png, pose
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_a_layout_is_opened_and_its_truth_agrees(tmp_path: Path, name: str) -> None:
+    LAYOUTS[name](tmp_path)
+    dataset = opened(tmp_path)
+    assert name.startswith(dataset.kind)
+    assert len(dataset) == FRAMES and dataset.has_depth
+    check_truth(dataset, colour=25.0 if "scannetpp" in name else 12.0)
+
+
+def test_sens(tmp_path: Path) -> None:
+    path = sens(tmp_path / "scene0000_00.sens")
+    dataset = opened(path)
+    assert dataset.kind == "sens" and len(dataset) == FRAMES
+    check_truth(dataset)
+    raw = opened(sens(tmp_path / "raw.sens", packing=0))
+    np.testing.assert_array_equal(raw[1].depth, dataset[1].depth)
+    write(tmp_path / "cut.sens", path.read_bytes()[:-900])
+    cut = opened(tmp_path / "cut.sens")
+    assert len(cut) == FRAMES
+    np.testing.assert_array_equal(cut[1].rgb, dataset[1].rgb)
+    with pytest.raises(FrameError, match=r"cut\.sens: is truncated: frame 2 and all after it are missing"):
+        _ = cut[2]
+    for keep in (0, 3, 100, 400):
+        write(tmp_path / "cut.sens", path.read_bytes()[:keep])
+        with pytest.raises(DatasetError, match=r"cut\.sens: is truncated"):
+            opened(tmp_path / "cut.sens")
+    write(tmp_path / "cut.sens", b"\x07" + path.read_bytes()[1:])
+    with pytest.raises(DatasetError, match=r"cut\.sens: is no \.sens file of version 4"):
+        opened(tmp_path / "cut.sens")
+
+
+def test_lost_poses_of_scannet_are_no_truth(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    scannet(tmp_path)
+    for i in (0, 2):
+        write(tmp_path / f"pose/{i}.txt", table(np.full((4, 4), -np.inf)))
+    dataset = opened(tmp_path)
+    assert [dataset[i].T_wc is None for i in range(3)] == [True, False, True]
+    assert sum("hold no pose" in record.getMessage() for record in caplog.records) == 1
+
+
+def test_7_scenes_registers_its_depth(tmp_path: Path) -> None:
+    camera, colour = (
+        Camera(640, 480, 585.0, 585.0, 320.0, 240.0),
+        Camera(640, 480, 525.0, 525.0, 320.0, 240.0),
+    )
+    rgb, want = look(colour, pose(0))
+    T = np.eye(4)
+    T[:3, :3] = se3.so3_exp([0.00816, -0.00789, -0.00271])
+    T[:3, 3] = -0.02555894, 0.00010110, 0.00203183
+    write(tmp_path / "frame-000000.color.png", png(rgb))
+    write(tmp_path / "frame-000000.depth.png", png(millimetres(look(camera, pose(0) @ T)[1])))
+    depth = opened(tmp_path)[0].depth
+    assert depth is not None
+    seen = depth > 0
+    assert seen.mean() > 0.78 and np.median(np.abs(depth - want)[seen]) < 3e-3
+    assert np.percentile(np.abs(depth - want)[seen], 98) < 0.02
+
+
+def test_7_scenes_of_another_size_needs_a_camera(tmp_path: Path) -> None:
+    bundle_fusion(tmp_path, info=False)
+    with pytest.raises(
+        DatasetError, match=r"its camera is not known; write a camera\.json there, or give --intrin"
+    ):
+        opened(tmp_path)
+    given = (COLOUR.fx, COLOUR.fy, COLOUR.cx, COLOUR.cy)
+    check_truth(open_dataset(str(tmp_path), data_root=tmp_path, intrinsics=given))
+
+
+@pytest.mark.parametrize("model", ["OPENCV_FISHEYE", "FOV"])
+def test_lenses_of_colmap_that_are_not_read(tmp_path: Path, model: str) -> None:
+    colmap(tmp_path, binary=False)
+    count = {"OPENCV_FISHEYE": 8, "FOV": 5}[model]
+    write(tmp_path / "sparse/cameras.txt", f"5 {model} 80 60 " + " ".join(["40"] * count))
+    with pytest.raises(DatasetError, match=f"its lens, {model}, is not read; run COLMAP's image_undistorter"):
+        opened(tmp_path)
+
+
+def test_lenses_of_colmap_that_bend(tmp_path: Path) -> None:
+    colmap(tmp_path, binary=False)
+    write(tmp_path / "sparse/cameras.txt", f"5 SIMPLE_RADIAL 80 60 {COLOUR.fx} 40.5 30.5 0.05")
+    dataset = opened(tmp_path)
+    assert dataset.camera == Camera(80, 60, COLOUR.fx, COLOUR.fx, 40.0, 30.0)
+    assert not np.array_equal(dataset[0].rgb, look(COLOUR, pose(0))[0])
+
+
+def test_nerfstudio_refuses_fisheye_by_name(tmp_path: Path) -> None:
+    nerfstudio(tmp_path)
+    values = json.loads((tmp_path / "transforms.json").read_text())
+    write(tmp_path / "transforms.json", json.dumps(values | {"camera_model": "OPENCV_FISHEYE"}))
+    with pytest.raises(DatasetError, match="camera_model is 'OPENCV_FISHEYE'; read are OPENCV"):
+        opened(tmp_path)
+
+
+def test_a_depth_stream_that_ends_early(tmp_path: Path) -> None:
+    scannetpp(tmp_path, "stream")
+    data = (tmp_path / "depth.bin").read_bytes()
+    write(tmp_path / "depth.bin", data[: int(0.5 * len(data))])
+    dataset = opened(tmp_path)
+    want = dataset[0].depth
+    with pytest.raises(FrameError, match=r"depth\.bin: frame 2 is damaged or missing"):
+        _ = dataset[2]
+    np.testing.assert_array_equal(dataset[0].depth, want)  # going back begins anew
