@@ -19,7 +19,7 @@ from collections.abc import Sequence
 
 import warp as wp
 
-from ggwarp.runtime import loading
+from ggwarp.runtime import kernel_cache, loading
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -39,12 +39,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if options.out is not None:
         os.environ["WARP_CACHE_PATH"] = options.out
-    loading.init_quietly()
     try:
+        loading.init_quietly()
+        if kernel_cache.is_temporary():
+            return 2  # said already
+        if full := kernel_cache.why_not_writable():
+            raise full
         for target in options.arch or wp.get_devices():
             _compile(target)
-    except loading.ArchitectureError as error:
-        print(f"ggwarp precompile: {error}", file=sys.stderr)
+    except (loading.ArchitectureError, OSError) as error:
+        reason = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) else error
+        print(f"ggwarp precompile: {reason}", file=sys.stderr)
         return 2
     print(f"in {wp.config.kernel_cache_dir}")
     if options.out is not None:

@@ -10,18 +10,23 @@ from __future__ import annotations
 import contextlib
 import importlib
 import importlib.util
+import logging
 import os
 import pkgutil
+import re
 import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from typing import Any
 
 import warp as wp
+
+from ggwarp.runtime import kernel_cache
+
+_log = logging.getLogger(__name__)
 
 ONE_DEVICE = {
     "raster.composite_cpu": "cpu",
@@ -36,6 +41,12 @@ ONE_DEVICE = {
 
 _PATIENCE = 4.0
 """Seconds that modules in hand may take to compile when the loading is interrupted."""
+
+_ATTEMPTS = 3
+"""From the cache, compiled anew, compiled into another folder."""
+
+_LOOK_UP = re.compile("Failed to lookup symbol")  # what follows says which kernel, or mends it
+_HEADERS = re.compile(r"\.pch'|precompiled headers|^\d+ errors? generated")
 
 
 class ArchitectureError(ValueError):
@@ -79,19 +90,23 @@ def _with_kernels(names: Iterable[str]) -> list[Any]:
 
 
 def uncompiled(modules: list[Any], device: Any) -> list[Any]:
-    """Return those of ``modules`` that Warp's cache does not hold for ``device``."""
+    """Return those of ``modules`` that Warp's cache does not hold for ``device``, or holds damaged."""
     wp.init()
     device = wp.get_device(device)
-    # The block size is part of a module's identity; on a CPU a block is one thread.
-    block_dim, ending = 1, ".o"
+    ending = ".o"
     if device.is_cuda:
-        block_dim, ending = None, f".sm{device.get_cuda_compile_arch()}.{device.get_cuda_output_format()}"
-    return [m for m in modules if not _cached(m, ending, block_dim)]
+        ending = f".sm{device.get_cuda_compile_arch()}.{device.get_cuda_output_format()}"
+    return [m for m in modules if not _cached(m, ending, _block_dim(device))]
+
+
+def _block_dim(device: Any) -> int | None:
+    """Return the block size that is part of a module's identity; on a CPU a block is one thread."""
+    return 1 if wp.get_device(device).is_cpu else None
 
 
 def _cached(module: Any, ending: str, block_dim: int | None = None) -> bool:
-    folder = Path(str(wp.config.kernel_cache_dir)) / module.get_module_identifier(block_dim)
-    return any(path.name.endswith(ending) for path in folder.glob("*"))
+    found = kernel_cache.binaries(kernel_cache.folder_of(module, block_dim), ending)
+    return bool(found) and all(map(kernel_cache.is_sound, found))
 
 
 def compile_for(arch: int) -> tuple[int, int]:
@@ -102,18 +117,24 @@ def compile_for(arch: int) -> tuple[int, int]:
 
     Raises:
         ArchitectureError: Warp's compiler does not know ``arch``.
+        OSError: there is no room in the cache.
     """
     wp.init()
     modules = _imported(_names("cuda"))
     cold = [m for m in modules if not _cached(m, f".sm{arch}.cubin")]
 
+    _remove_damaged(cold, None)
+
     def build(module: Any) -> None:
         wp.compile_aot_module(module, arch=arch, use_ptx=False)
+        kernel_cache.seal(kernel_cache.folder_of(module))
 
     if cold:
         try:
             build(cold[0])
         except Exception as error:
+            if full := kernel_cache.why_not_writable():
+                raise kernel_cache.no_room(full) from error
             raise ArchitectureError(
                 f"architecture {arch}: {error}; give compute capabilities such as 90"
             ) from error
@@ -123,11 +144,42 @@ def compile_for(arch: int) -> tuple[int, int]:
 
 
 def load(modules: list[Any], device: Any) -> None:
-    """Load ``modules`` on ``device``, compiling what is not in the cache, on all cores.
+    """Load ``modules`` on ``device``, compiling what is not in the cache or is damaged there, on all cores.
+
+    A cache that cannot be written to is replaced by a temporary one for as long as the program runs.
 
     When it is interrupted no module is begun any more, and those in hand are waited for a while: a compiler
     that works on while the program ends may crash it.
+
+    Raises:
+        OSError: there is no place for what must be compiled.
     """
+    cold = uncompiled(modules, device)
+    with _compiler_s_words():
+        # What is there first: to compile the others the cache may have to be left.
+        _load_all([m for m in modules if m not in cold], device)
+        cache = str(wp.config.kernel_cache_dir)
+        try:
+            _remove_damaged(cold, _block_dim(device))
+        except OSError as error:
+            kernel_cache.use_temporary(cache, error)
+        _load_all(cold, device)
+
+
+def _remove_damaged(modules: list[Any], block_dim: int | None) -> None:
+    found = [m for m in modules if kernel_cache.is_damaged(kernel_cache.folder_of(m, block_dim))]
+    _say_damaged(found)
+    for module in found:
+        kernel_cache.remove(kernel_cache.folder_of(module, block_dim))
+
+
+def _say_damaged(modules: list[Any]) -> None:
+    if modules:
+        names = ", ".join(m.name.removeprefix("ggwarp.kernels.") for m in modules)
+        _log.warning("the kernel cache %s was damaged: %s compiled again", wp.config.kernel_cache_dir, names)
+
+
+def _load_all(modules: list[Any], device: Any) -> None:
     waiting, ended, errors = list(reversed(modules)), threading.Event(), list[BaseException]()
 
     def work() -> None:
@@ -135,7 +187,7 @@ def load(modules: list[Any], device: Any) -> None:
             while not ended.is_set():
                 module = waiting.pop()
                 try:
-                    wp.force_load(device=device, modules=[module], max_workers=0)
+                    _load_one(module, device)
                 except BaseException as error:
                     errors.append(error)
                     ended.set()
@@ -158,6 +210,67 @@ def load(modules: list[Any], device: Any) -> None:
         raise errors[0]
 
 
+def _load_one(module: Any, device: Any) -> None:
+    for _ in range(_ATTEMPTS):
+        cache = str(wp.config.kernel_cache_dir)
+        try:
+            wp.force_load(device=device, modules=[module], max_workers=0)
+            folder = kernel_cache.folder_of(module, _block_dim(device))
+            if not kernel_cache.is_sealed(folder):
+                _look_up_kernels(module, device)
+                kernel_cache.seal(folder)
+            return
+        except Exception as error:
+            failure = error
+            _mend(module, device, cache, error)
+    raise failure
+
+
+def _look_up_kernels(module: Any, device: Any) -> None:
+    """Check that the kernels of a loaded module are in it.
+
+    Raises:
+        RuntimeError: one is not.
+    """
+    device = wp.get_device(device)
+    for (context, _), loaded in list(module.execs.items()):
+        for kernel in module.kernels.values() if context == device.context else ():
+            if not kernel.is_generic and loaded.get_kernel_hooks(kernel).forward is None:
+                raise RuntimeError(f"{module.name}: {kernel.key} is missing in the compiled file")
+
+
+def _mend(module: Any, device: Any, cache: str, error: Exception) -> None:
+    """Do what may let a module load that did not; else raise ``error``."""
+    kernel_cache.clear_builds()
+    module.unload()  # Warp keeps what it has otherwise, and a failure to compile, too
+    folder = kernel_cache.folder_of(module, _block_dim(device))
+    changed = cache != str(wp.config.kernel_cache_dir)  # by another thread
+    if changed or isinstance(error, FileNotFoundError):  # another program has removed it
+        return
+    reason = kernel_cache.why_not_writable()
+    if reason is not None:
+        kernel_cache.use_temporary(cache, reason)
+    elif kernel_cache.binaries(folder):  # looks sound, and does not load
+        _say_damaged([module])
+        kernel_cache.remove(folder)
+    else:
+        raise error
+
+
+@contextlib.contextmanager
+def _compiler_s_words() -> Iterator[None]:
+    """Pass on what the compiler says when it is done, but for what it could do without."""
+    lines: list[str] = []
+    try:
+        with kernel_cache.held_stderr() as lines:
+            yield
+    finally:
+        without = any("compiling without precompiled headers" in line for line in lines)
+        for line in lines:
+            if not _LOOK_UP.search(line) and not (without and _HEADERS.search(line)):
+                print(line, file=sys.stderr)
+
+
 def init_quietly() -> None:
     """Start Warp without its greeting, and without its warning where there is no NVIDIA driver.
 
@@ -166,18 +279,18 @@ def init_quietly() -> None:
     """
     wp.config.log_level = wp.LOG_WARNING
     wp.config.cuda_output = wp.config.cuda_output or "cubin"
+    try:
+        tempfile.gettempdir()
+    except OSError:
+        wp.config.use_precompiled_headers = False  # they lie in the temporary folder
     sys.stderr.flush()
-    kept = os.dup(2)
-    with tempfile.TemporaryFile() as said:
-        # The warning comes from native code: only the file descriptor can hold it back.
-        os.dup2(said.fileno(), 2)
+    # The warning comes from native code: only the file descriptor can hold it back.
+    with kernel_cache.held_stderr() as lines:
         try:
             wp.init()
-        finally:
-            os.dup2(kept, 2)
-            os.close(kept)
-        said.seek(0)
-        lines = said.read().decode(errors="replace").splitlines()
+        except OSError as error:
+            kernel_cache.use_temporary(str(wp.config.kernel_cache_dir or ""), error)
+            wp.init()
     for device in wp.get_cuda_devices():
         if wp.is_mempool_enabled(device):
             # Else every wait gives unused memory back to the driver, and the next frame asks for it again.

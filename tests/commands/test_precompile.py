@@ -71,3 +71,10 @@ def test_an_unknown_architecture_is_named(tmp_path, arch):
     done = _run(_COMPILE, "--arch", arch, "--out", str(tmp_path))
     assert done.returncode == 2 and arch in done.stderr.splitlines()[-1]
     assert "Traceback" not in done.stderr
+
+
+def test_a_folder_that_cannot_be_written_to_is_refused(tmp_path):
+    (tmp_path / "file").touch()
+    done = _run(_COMPILE, "--out", str(tmp_path / "file"))
+    assert done.returncode == 2 and len(done.stderr.splitlines()) == 1
+    assert str(tmp_path / "file") in done.stderr and "Not a directory" in done.stderr
