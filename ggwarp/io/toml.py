@@ -87,7 +87,9 @@ def merged(default: T, values: dict[str, Any], *, where: str, prefix: str = "") 
     for key, value in values.items():
         name = prefix + key
         if key not in known:
-            raise TomlError(f"{where}: unknown key {shown(name)}; known here: {', '.join(sorted(known))}")
+            deeper = [f"{prefix}{n}.{key}" for n in known if key in _fields_of(getattr(default, n))]
+            hint = f"did you mean {deeper[0]}?" if deeper else f"known here: {', '.join(sorted(known))}"
+            raise TomlError(f"{where}: unknown key {shown(name)}; {hint}")
         current = getattr(default, key)
         if not dataclasses.is_dataclass(current):
             changes[key] = _converted(value, hints[key], f"{where}: {name} = {shown(value)}")
@@ -96,6 +98,10 @@ def merged(default: T, values: dict[str, Any], *, where: str, prefix: str = "") 
         else:
             raise TomlError(f"{where}: {name} = {shown(value)}, but a section [{name}] is needed")
     return dataclasses.replace(default, **changes)  # pyright: ignore[reportArgumentType, reportReturnType]
+
+
+def _fields_of(value: Any) -> set[str]:
+    return {f.name for f in dataclasses.fields(value)} if dataclasses.is_dataclass(value) else set()
 
 
 def _lines(config: Any, section: str) -> list[str]:

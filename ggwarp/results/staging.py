@@ -215,7 +215,10 @@ def sync_folder(folder: Path) -> None:
 
 
 def _holds_others(folder: Path, ours: list[Path]) -> bool:
-    return folder.is_dir() and not holds_run(folder) and any(p not in ours for p in folder.iterdir())
+    if not folder.is_dir() or holds_run(folder):
+        return False
+    # A file in the place of the renders' folder stays, and only they cannot be written.
+    return any(p not in ours and (p.name != "renders" or p.is_dir()) for p in folder.iterdir())
 
 
 def _cannot_be_renamed(target: Path) -> bool:

@@ -211,6 +211,7 @@ def _load_all(modules: list[Any], device: Any) -> None:
 
 
 def _load_one(module: Any, device: Any) -> None:
+    failure: Exception | None = None
     for _ in range(_ATTEMPTS):
         cache = str(wp.config.kernel_cache_dir)
         try:
@@ -223,6 +224,7 @@ def _load_one(module: Any, device: Any) -> None:
         except Exception as error:
             failure = error
             _mend(module, device, cache, error)
+    assert failure is not None
     raise failure
 
 

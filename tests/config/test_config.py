@@ -99,7 +99,7 @@ def test_a_file_starts_from_its_preset(tmp_path):
     [
         ("sequence = 1", "unknown key 'sequence'"),
         ("[slam.mapper]\niteration = 1", "unknown key 'slam.mapper.iteration'"),
-        ("[mapper]\niterations = 1", "unknown key 'mapper'"),
+        ("[mapper]\niterations = 1", "unknown key 'mapper'; did you mean slam.mapper?"),
         ("scale = true", "scale = True"),
         ('preset = "mono"', "preset"),
     ],

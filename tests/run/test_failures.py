@@ -86,6 +86,14 @@ def test_a_folder_of_other_files_is_left_alone(scene, fake, capsys):
     assert [p.name for p in Path("data").iterdir()] == ["Replica"]
 
 
+def test_a_file_in_the_place_of_the_renders(scene, fake, capsys):
+    Path("o").mkdir()
+    Path("o/renders").write_text("mine")
+    assert run.main(["--seq", "room9", "--device", "cpu", "--out", "o"]) == 1
+    assert "saving renders failed: " in only_line(capsys)
+    assert Path("o/renders").read_text() == "mine" and len(load_run("o").poses) == FRAMES
+
+
 @pytest.mark.parametrize("part", ["evaluation", "saving renders"])
 def test_what_follows_the_saving_may_fail_alone(scene, fake, monkeypatch, capsys, part):
     def full(*arguments, **options):
