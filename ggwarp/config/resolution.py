@@ -27,9 +27,7 @@ def resolve_config(config: RunConfig, dataset: Dataset) -> RunConfig:
         ConfigError: an option does not fit the data set or this machine.
     """
     if dataset.kind != "synthetic" and config.built_in != type(config.built_in)():
-        raise ConfigError(
-            f"--built-in.*: {config.seq} is a recording; only the built-in office and wall take faults"
-        )
+        raise ConfigError(f"--built-in.*: {config.seq} is a recording; only the built-in scenes take faults")
     slam = config.slam
     if config.masks == "untracked":
         slam = dataclasses.replace(slam, masks_kind="untracked")

@@ -32,7 +32,7 @@ class RunConfig:
     """Everything that decides a run."""
 
     seq: str | None = None
-    """The recording: a name, looked up under the data root, or its folder; office and wall are built in."""
+    """The recording: a name under the data root, or its folder; office, wall and apartment are built in."""
 
     data: Path | None = None
     """The data root. Default: $GGWARP_DATA, else ./data."""

@@ -22,7 +22,7 @@ from ggwarp.datasets.base import (
 
 if TYPE_CHECKING:
     from ggwarp.datasets.built_in.faults import SensorFaults
-    from ggwarp.datasets.built_in.synthetic import SyntheticOffice
+    from ggwarp.datasets.built_in.synthetic import SyntheticOffice, SyntheticScene
     from ggwarp.datasets.calibration import Intrinsics
     from ggwarp.datasets.reader import BadFrame, FrameReader
 
@@ -40,8 +40,10 @@ __all__ = [
     "register",
 ]
 
-BUILT_IN = ("office", "synthetic", "wall")
-"""Names that always mean a built-in scene: the wall, or the office."""
+APARTMENTS = ("apartment", "apartment-person", "apartment-kinect", "apartment-kinect-person")
+"""The built-in apartment: seen perfectly or by a Kinect; with or without a person who walks through."""
+BUILT_IN = ("office", "synthetic", "wall", *APARTMENTS)
+"""Names that always mean a built-in scene: the wall, the apartment, or the office."""
 OWN_KINDS = (
     "readers.stray",
     "readers.record3d",
@@ -89,7 +91,7 @@ def open_dataset(
     Args:
         seq: a name, looked up under ``data_root`` (also in its folders: Replica, TUM, ...), or a
             path. ``office`` is the built-in synthetic office, and so is ``office0`` where there
-            is no Replica; ``wall`` is the built-in wall.
+            is no Replica; ``wall`` is the built-in wall, and :data:`APARTMENTS` the built-in apartment.
         data_root: folder of the data sets; need not exist.
         masks: folder of the object masks; None: beside the images, if there; "none": not used.
         faults: of the camera of a built-in scene; None: it has none.
@@ -168,10 +170,7 @@ def _video(path: Path, intrinsics: Intrinsics | None) -> Dataset:
 
 
 def _built_in(seq: str, masks: Masks, faults: SensorFaults | None) -> Dataset:
-    from ggwarp.datasets.built_in.faults import SensorFaults
-    from ggwarp.datasets.built_in.synthetic import SyntheticOffice, SyntheticWall
-
-    scene = (SyntheticWall if seq == "wall" else SyntheticOffice)(faults=faults or SensorFaults())
+    scene = _built_in_scene(seq, faults)
     if masks is None:
         return scene
     if str(masks) == "none":
@@ -179,3 +178,14 @@ def _built_in(seq: str, masks: Masks, faults: SensorFaults | None) -> Dataset:
     from ggwarp.datasets.masks import WithMasks, open_masks
 
     return WithMasks(scene, open_masks(Path(masks), scene.stems))
+
+
+def _built_in_scene(seq: str, faults: SensorFaults | None) -> SyntheticScene:
+    from ggwarp.datasets.built_in.apartment import SyntheticApartment
+    from ggwarp.datasets.built_in.faults import SensorFaults
+    from ggwarp.datasets.built_in.synthetic import SyntheticOffice, SyntheticWall
+
+    faults = faults or SensorFaults()
+    if seq in APARTMENTS:
+        return SyntheticApartment(kinect="kinect" in seq, person="person" in seq, faults=faults)
+    return (SyntheticWall if seq == "wall" else SyntheticOffice)(faults=faults)

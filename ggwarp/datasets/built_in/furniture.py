@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The synthetic office's furniture: each function adds one object (an id of its own).
+"""Furniture of the built-in rooms: each function adds one object (an id of its own).
 
 Sizes are those of real things, metres. An object faces -y in its own frame before ``yaw``.
 """
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ggwarp.datasets.built_in.scene import Colour, Material, SceneBuilder
+from ggwarp.geometry.se3 import so3_exp, so3_log
 from ggwarp.kernels.scene import procedural as patterns
 
 OAK = Material((0.46, 0.30, 0.17), (0.80, 0.60, 0.38), patterns.WOOD, 0.12)
@@ -222,3 +223,61 @@ def cabinet(s: SceneBuilder, at: ArrayLike, yaw: float) -> None:
         for x in (-0.50, 0.50):
             for y in (-0.18, 0.18):
                 s.frustum((x, y, 0), 0.022, 0.06, DARK)
+
+
+def picture(
+    s: SceneBuilder, name: str, at: ArrayLike, yaw: float, size: tuple[float, float], print_: Material
+) -> None:
+    """A framed picture hanging at ``at`` (its middle)."""
+    with s.object(name, at, yaw):
+        s.box((0, -0.012, 0), (size[0] + 0.06, 0.024, size[1] + 0.06), DARK)
+        s.box((0, -0.022, 0), (size[0], 0.012, size[1]), print_)
+
+
+def window(s: SceneBuilder, at: ArrayLike, yaw: float = 0.0) -> None:
+    """A window 1.5 m wide with a sill; ``at``: its middle."""
+    with s.object("window", at, yaw):
+        view = Material((0.56, 0.72, 0.92), (0.30, 0.42, 0.26), patterns.WINDOW, 0.3, glow=0.75)
+        s.box((0, -0.004, 0), (1.40, 0.01, 1.10), view)
+        for x in (-0.72, 0.0, 0.72):
+            s.box((x, -0.025, 0), (0.06, 0.05, 1.20), WHITE)
+        for z in (-0.58, 0.58):
+            s.box((0, -0.025, z), (1.50, 0.05, 0.06), WHITE)
+        s.box((0, -0.09, -0.62), (1.60, 0.18, 0.03), BIRCH)
+
+
+def radiator(s: SceneBuilder, at: ArrayLike, yaw: float = 0.0) -> None:
+    """A radiator 1.2 m wide; ``at``: the middle of its foot."""
+    with s.object("radiator", at, yaw):
+        for k in range(8):
+            s.box((-0.56 + 0.16 * k, 0, 0.30), (0.06, 0.09, 0.60), WHITE)
+        for z in (0.06, 0.54):
+            s.rod((-0.60, 0, z), (0.60, 0, z), 0.02, WHITE)
+
+
+def floor_lamp(s: SceneBuilder, at: ArrayLike) -> None:
+    """A standing lamp with a shade."""
+    with s.object("floor lamp", at):
+        s.frustum((0, 0, 0), 0.15, 0.03, DARK)
+        s.rod((0, 0, 0.03), (0, 0, 1.45), 0.012, BRASS)
+        s.frustum(
+            (0, 0, 1.40), 0.21, 0.28, Material((0.90, 0.80, 0.58), (0.96, 0.90, 0.74), glow=0.4), taper=0.6
+        )
+
+
+def potted_plant(s: SceneBuilder, at: ArrayLike) -> None:
+    """A plant of nine drooping leaves, 1.4 m high, in a pot."""
+    with s.object("potted plant", at):
+        s.frustum((0, 0, 0), 0.15, 0.30, Material((0.58, 0.32, 0.20), (0.74, 0.46, 0.32)), taper=1.3)
+        s.rod((0, 0, 0.28), (0.02, -0.02, 0.95), 0.02, WALNUT)
+        for k in range(9):
+            a, up = 2.4 * k, 0.62 + 0.09 * k
+            at = (0.20 * np.cos(a), 0.20 * np.sin(a), up)
+            turn = _leaf_turn(a, 35.0)
+            s.ball(at, (0.20, 0.075, 0.018), LEAF, turn=turn)
+
+
+def _leaf_turn(a: float, droop: float) -> tuple[float, float, float]:
+    """Rotation vector, degrees, of a leaf that points along azimuth ``a`` and droops."""
+    w = so3_log(so3_exp([0, 0, a]) @ so3_exp([0, np.radians(droop), 0]))
+    return tuple(np.degrees(w))

@@ -6,12 +6,12 @@ World frame: z up, the floor's middle at the origin, x to the east, y to the nor
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
-from numpy.typing import ArrayLike
 
 from ggwarp.datasets.built_in import furniture as f
-from ggwarp.datasets.built_in.scene import Material, SceneBuilder, Shape
-from ggwarp.geometry.se3 import so3_exp, so3_log
+from ggwarp.datasets.built_in.scene import Lamp, Material, RoomLight, Scene, SceneBuilder, Shape
 from ggwarp.kernels.scene import procedural as patterns
 
 LENGTH, WIDTH, HEIGHT = 5.0, 4.0, 2.7
@@ -19,6 +19,26 @@ LENGTH, WIDTH, HEIGHT = 5.0, 4.0, 2.7
 
 STRUCTURE = ("floor", "ceiling", "north wall", "east wall", "south wall", "west wall")
 """Ids 1 to 6."""
+
+
+ROOM = RoomLight(
+    low=(-0.5 * LENGTH, -0.5 * WIDTH, 0.0),
+    high=(0.5 * LENGTH, 0.5 * WIDTH, HEIGHT),
+    lamps=(
+        Lamp((0.0, -0.9, HEIGHT - 0.12), (0.56, 0.0, 0.0), (0.0, 0.12, 0.0), 0.62),
+        Lamp((0.0, 0.9, HEIGHT - 0.12), (0.56, 0.0, 0.0), (0.0, 0.12, 0.0), 0.62),
+        Lamp((-0.75, 1.88, 1.55), (0.68, 0.0, 0.0), (0.0, 0.0, 0.52), 0.72),
+    ),
+    ambient=0.62,
+    cell=0.125,
+)
+"""Two ceiling panels and the window."""
+
+
+@lru_cache(maxsize=2)
+def office_scene(featureless_wall: bool) -> Scene:
+    """Return the office, with or without its bare wall."""
+    return Scene(*build_office(featureless_wall=featureless_wall), (ROOM,))
 
 
 def build_office(*, featureless_wall: bool = False) -> tuple[list[Shape], dict[int, str]]:
@@ -65,15 +85,6 @@ def _room(s: SceneBuilder, featureless_wall: bool) -> None:
                 s.box((0.998 * centre[0], 0.998 * centre[1], 0.05), along, f.WHITE)
 
 
-def _picture(
-    s: SceneBuilder, name: str, at: ArrayLike, yaw: float, size: tuple[float, float], print_: Material
-) -> None:
-    """A framed picture hanging at ``at`` (its middle)."""
-    with s.object(name, at, yaw):
-        s.box((0, -0.012, 0), (size[0] + 0.06, 0.024, size[1] + 0.06), f.DARK)
-        s.box((0, -0.022, 0), (size[0], 0.012, size[1]), print_)
-
-
 def _desk_side(s: SceneBuilder) -> None:
     """The east wall: the desk and what is on it, and a wall shelf."""
     f.desk(s, (2.08, -0.10, 0), -90)
@@ -117,7 +128,7 @@ def _sofa_side(s: SceneBuilder) -> None:
         105,
         Material((0.66, 0.24, 0.26), (0.88, 0.80, 0.74), patterns.CHECKER, 0.06),
     )
-    _picture(
+    f.picture(
         s,
         "poster",
         (-2.49, 0.40, 1.62),
@@ -140,20 +151,7 @@ def _sofa_side(s: SceneBuilder) -> None:
             s.rod((0, 0, 0.20), tip, 0.005, f.LEAF)
             petals = ((0.86, 0.44, 0.52), (0.92, 0.76, 0.30), (0.72, 0.44, 0.74))[k % 3]
             s.ball(tip, 0.035, f.cloth(petals, tuple(min(1.0, 1.2 * c) for c in petals), 0.03))
-    with s.object("potted plant", (-2.08, 1.60, 0)):
-        s.frustum((0, 0, 0), 0.15, 0.30, Material((0.58, 0.32, 0.20), (0.74, 0.46, 0.32)), taper=1.3)
-        s.rod((0, 0, 0.28), (0.02, -0.02, 0.95), 0.02, f.WALNUT)
-        for k in range(9):
-            a, up = 2.4 * k, 0.62 + 0.09 * k
-            at = (0.20 * np.cos(a), 0.20 * np.sin(a), up)
-            turn = _leaf_turn(a, 35.0)
-            s.ball(at, (0.20, 0.075, 0.018), f.LEAF, turn=turn)
-
-
-def _leaf_turn(a: float, droop: float) -> tuple[float, float, float]:
-    """Rotation vector, degrees, of a leaf that points along azimuth ``a`` and droops."""
-    w = so3_log(so3_exp([0, 0, a]) @ so3_exp([0, np.radians(droop), 0]))
-    return tuple(np.degrees(w))
+    f.potted_plant(s, (-2.08, 1.60, 0))
 
 
 def _shelf_side(s: SceneBuilder) -> None:
@@ -218,27 +216,11 @@ def _shelf_side(s: SceneBuilder) -> None:
 
 def _window_side(s: SceneBuilder, featureless_wall: bool) -> None:
     """The north wall: window over a radiator, floor lamp, boxes, stool."""
-    with s.object("window", (-0.75, 1.99, 1.55)):
-        view = Material((0.56, 0.72, 0.92), (0.30, 0.42, 0.26), patterns.WINDOW, 0.3, glow=0.75)
-        s.box((0, -0.004, 0), (1.40, 0.01, 1.10), view)
-        for x in (-0.72, 0.0, 0.72):
-            s.box((x, -0.025, 0), (0.06, 0.05, 1.20), f.WHITE)
-        for z in (-0.58, 0.58):
-            s.box((0, -0.025, z), (1.50, 0.05, 0.06), f.WHITE)
-        s.box((0, -0.09, -0.62), (1.60, 0.18, 0.03), f.BIRCH)
-    with s.object("radiator", (-0.75, 1.93, 0.14)):
-        for k in range(8):
-            s.box((-0.56 + 0.16 * k, 0, 0.30), (0.06, 0.09, 0.60), f.WHITE)
-        for z in (0.06, 0.54):
-            s.rod((-0.60, 0, z), (0.60, 0, z), 0.02, f.WHITE)
+    f.window(s, (-0.75, 1.99, 1.55))
+    f.radiator(s, (-0.75, 1.93, 0.14))
     if featureless_wall:
         return
-    with s.object("floor lamp", (2.18, 1.66, 0)):
-        s.frustum((0, 0, 0), 0.15, 0.03, f.DARK)
-        s.rod((0, 0, 0.03), (0, 0, 1.45), 0.012, f.BRASS)
-        s.frustum(
-            (0, 0, 1.40), 0.21, 0.28, Material((0.90, 0.80, 0.58), (0.96, 0.90, 0.74), glow=0.4), taper=0.6
-        )
+    f.floor_lamp(s, (2.18, 1.66, 0))
     carton = Material((0.60, 0.46, 0.30), (0.74, 0.59, 0.40), scale=0.15)
     tape = Material((0.78, 0.70, 0.52), (0.84, 0.76, 0.58), scale=0.1)
     for at, yaw, size in (
@@ -253,7 +235,7 @@ def _window_side(s: SceneBuilder, featureless_wall: bool) -> None:
         for k in range(3):
             c, d = np.cos(2.0944 * k + 0.4), np.sin(2.0944 * k + 0.4)
             s.rod((0.20 * c, 0.20 * d, 0), (0.11 * c, 0.11 * d, 0.44), 0.014, f.BIRCH)
-    _picture(
+    f.picture(
         s,
         "picture",
         (1.40, 1.99, 1.52),

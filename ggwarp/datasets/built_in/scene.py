@@ -15,6 +15,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
+from ggwarp.geometry.camera import Camera
 from ggwarp.geometry.se3 import so3_exp
 from ggwarp.kernels.scene import primitives as prims
 from ggwarp.kernels.scene import procedural
@@ -171,29 +172,89 @@ class SceneBuilder:
         self.shapes.append(Shape(kind, len(self.names), world, self._turn @ rotation, size, taper, material))
 
 
-def device_primitives(
-    shapes: list[Shape], *, device: Any, without: tuple[int, ...] = ()
-) -> tuple[wp.array, wp.array]:
-    """Upload ``shapes``: ([n] Primitive, [n] vec4 balls around them), less the objects ``without``.
+Point = tuple[float, float, float]
 
-    A texture's seed is its shape's place in ``shapes``, so leaving objects out changes no other.
+
+@dataclass(frozen=True)
+class Lamp:
+    """A rectangular light: [3] centre and halves of its two sides, metres, and its power, display units."""
+
+    centre: Point
+    half_u: Point
+    half_v: Point
+    power: float
+
+
+@dataclass(frozen=True)
+class RoomLight:
+    """A room and its light.
+
+    Attributes:
+        low, high: the room's corners, metres.
+        lamps: three at most.
+        ambient: light without direction.
+        cell: of the grid on which what is seen of the lamps is baked, metres.
+    """
+
+    low: Point
+    high: Point
+    lamps: tuple[Lamp, ...]
+    ambient: float
+    cell: float
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A built scene: its shapes, the class name of each object id (1 to N), and its rooms' light."""
+
+    shapes: list[Shape]
+    names: dict[int, str]
+    rooms: tuple[RoomLight, ...]
+
+
+def primitive_rows(shapes: list[Shape], *, first: int = 0) -> tuple[NDArray[Any], NDArray[np.float32]]:
+    """Return ``shapes`` as the ray-caster takes them: [n] Primitive, [n, 4] balls around them.
+
+    A texture's seed is its shape's place in ``shapes``, counted from ``first``: leaving some of the rows
+    out changes no other.
     """
     rows = np.zeros(len(shapes), np.dtype(_PRIMITIVE.numpy_dtype()))
     balls = np.zeros((len(shapes), 4), np.float32)
-    for seed, (row, shape) in enumerate(zip(rows, shapes, strict=True)):
+    for k, (row, shape) in enumerate(zip(rows, shapes, strict=True)):
         material = shape.material
         row["kind"], row["object_id"], row["taper"] = shape.kind, shape.object_id, shape.taper
         row["centre"], row["size"] = shape.centre, shape.size
         row["to_unit"] = shape.rotation.T / shape.size[:, None]
         row["pattern"], row["turned"], row["scale"] = material.pattern, material.turned, material.scale
         row["colour_a"], row["colour_b"] = material.a, material.b
-        row["seed"], row["glow"] = 101 * seed + 7, material.glow
-        balls[seed] = [*shape.centre, 1.0001 * shape.radius]
-    kept = ~np.isin(rows["object_id"], without)
+        row["seed"], row["glow"] = 101 * (first + k) + 7, material.glow
+        balls[k] = [*shape.centre, 1.0001 * shape.radius]
+    return rows, balls
+
+
+def device_arrays(
+    rows: NDArray[Any], balls: NDArray[np.float32], *, device: Any
+) -> tuple[wp.array, wp.array]:
+    """Upload what :func:`primitive_rows` returns: [n] Primitive, [n] vec4."""
     return (
-        wp.array(rows[kept], dtype=_PRIMITIVE, device=device),
-        wp.array(balls[kept], dtype=wp.vec4, device=device),
+        wp.array(rows, dtype=_PRIMITIVE, device=device),
+        wp.array(balls, dtype=wp.vec4, device=device),
     )
+
+
+def in_view(balls: NDArray[np.float32], camera: Camera, T_wc: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which of ``balls`` [n, 4] reach into the pyramid that ``camera`` sees from ``T_wc``, [n]."""
+    at = (balls[:, :3] - T_wc[:3, 3]) @ T_wc[:3, :3]
+    inside = at[:, 2] > -balls[:, 3]
+    for axis, focal, centre, size in (
+        (0, camera.fx, camera.cx, camera.width),
+        (1, camera.fy, camera.cy, camera.height),
+    ):
+        # The sides of the pyramid, a pixel out, and the distance of the balls' centres beyond them.
+        for tangent, sign in (((centre + 1.5) / focal, -1.0), ((size + 0.5 - centre) / focal, 1.0)):
+            beyond = (sign * at[:, axis] - tangent * at[:, 2]) / np.hypot(1.0, tangent)
+            inside &= beyond <= balls[:, 3]
+    return inside
 
 
 def looking(heading: float, pitch: float, roll: float) -> NDArray[np.float64]:

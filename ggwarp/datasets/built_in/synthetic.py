@@ -5,35 +5,28 @@ from __future__ import annotations
 
 import copy
 import threading
-from collections.abc import Callable
-from functools import lru_cache, partial
-from typing import Any, Literal
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import warp as wp
 
 from ggwarp.datasets.base import DatasetError
 from ggwarp.datasets.built_in.faults import MaskFaults, SensorFaults, faulty_colour, faulty_depth, faulty_mask
-from ggwarp.datasets.built_in.office import HEIGHT, LENGTH, WIDTH, build_office
-from ggwarp.datasets.built_in.scene import Shape, device_primitives, looking
-from ggwarp.datasets.built_in.wall import build_wall, wall_trajectory
+from ggwarp.datasets.built_in.lighting import baked_lights
+from ggwarp.datasets.built_in.office import office_scene
+from ggwarp.datasets.built_in.scene import Scene, Shape, device_arrays, in_view, looking, primitive_rows
+from ggwarp.datasets.built_in.wall import wall_scene, wall_trajectory
 from ggwarp.geometry.camera import Camera
 from ggwarp.kernels.camera import intrinsics_of
-from ggwarp.kernels.scene import raycast, shading
-from ggwarp.types import Float64, Frame
+from ggwarp.kernels.scene import raycast
+from ggwarp.types import Float32, Float64, Frame
 
 REPLICA_CAMERA = Camera(1200, 680, 600.0, 600.0, 599.5, 339.5)
 FRAME_RATE = 30.0
-_LIGHT_CELL = 0.125
 _BYTE: Any = wp.uint8
 _lock = threading.Lock()
 
-SceneKind = Literal["office", "office with a bare wall", "wall"]
-_SCENES: dict[SceneKind, Callable[[], tuple[list[Shape], dict[int, str]]]] = {
-    "office": build_office,
-    "office with a bare wall": partial(build_office, featureless_wall=True),
-    "wall": build_wall,
-}
 _BARE_VIEW = (1.35, 1.20, 1.40)
 
 
@@ -52,9 +45,10 @@ class SyntheticScene:
     def __init__(
         self,
         name: str,
-        scene: SceneKind,
+        scene: Scene,
         trajectory: Float64,
         *,
+        camera: Camera = REPLICA_CAMERA,
         scale: float = 1.0,
         faults: SensorFaults = SensorFaults(),  # noqa: B008 - frozen
         mask_faults: MaskFaults = MaskFaults(),  # noqa: B008 - frozen
@@ -65,7 +59,8 @@ class SyntheticScene:
 
         Args:
             trajectory: [frames, 4, 4] camera-to-world poses.
-            scale: of Replica's 1200 x 680 camera; frames are rendered at that size.
+            camera: what sees it; Replica's, unless said.
+            scale: of the camera's size; frames are rendered at that size.
             faults: of the camera.
             mask_faults: of the object masks.
             without: ids of objects left out; what remains keeps its look, their shadows
@@ -79,20 +74,20 @@ class SyntheticScene:
             raise DatasetError(f"{name}: 0 frames; at least 1 is needed")
         if not 0.0 < scale <= 4.0:
             raise DatasetError(f"{name}: scale {scale}; it must lie in (0, 4]")
-        shapes, self.class_names = _SCENES[scene]()
+        self.class_names = scene.names
         unknown = sorted(set(without) - set(self.class_names))
         if unknown:
             raise DatasetError(f"{name}: without {unknown}; objects are 1 to {len(self.class_names)}")
         self.name = name
-        self.camera = REPLICA_CAMERA.scaled(scale)
+        self.camera = camera.scaled(scale)
         self.faults = faults
         self.mask_faults = mask_faults
         self.trajectory = trajectory
         self.ids = np.array(sorted(set(self.class_names) - set(without)), np.int32)
-        self._shapes = shapes
-        self._uploaded: tuple[wp.array, wp.array, Any] | None = None
-        self._without = without
-        self._kind: SceneKind = scene
+        rows, balls = primitive_rows(scene.shapes)
+        kept = ~np.isin(rows["object_id"], without)
+        self._rows, self._balls = rows[kept], balls[kept]
+        self._scene = scene
         self._device = device
 
     def __len__(self) -> int:
@@ -114,25 +109,46 @@ class SyntheticScene:
         if not 0 <= index < len(self):
             raise IndexError(f"{self.name}: frame {index} of {len(self)}")
         T_wc = self.trajectory[index]
-        rgb, depth, mask = self.render(T_wc)
+        rgb, depth, mask = self.render(T_wc, self._moving(index))
         return Frame(
             index=index,
             timestamp=index / FRAME_RATE,
             rgb=faulty_colour(rgb, self.faults, index, index / max(1, len(self) - 1)),
-            depth=faulty_depth(depth, self.faults, index, self.camera),
+            depth=self._sensed(depth, index),
             mask=faulty_mask(mask, self.mask_faults, index, self.ids),
             T_wc=T_wc.copy(),
             true_mask=mask,
         )
 
-    def render(self, T_wc: Float64) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _moving(self, index: int) -> list[Shape]:
+        """Return what stands in the scene in frame ``index`` alone."""
+        return []
+
+    def _sensed(self, depth: Float32, index: int) -> Float32:
+        """Return the depth [h, w] of frame ``index`` as the sensor measures it, metres."""
+        return faulty_depth(depth, self.faults, index, self.camera)
+
+    def render(
+        self, T_wc: Float64, moving: Sequence[Shape] = ()
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return what a faultless camera sees from ``T_wc`` [4, 4].
+
+        Args:
+            T_wc: camera-to-world.
+            moving: shapes that stand there now, lit by the rooms but without shadows.
 
         Returns:
             rgb [h, w, 3] uint8, depth [h, w] float32 metres, ids [h, w] int32; 0 where nothing is.
         """
-        primitives, balls, light = self._scene()
         device = wp.get_device(self._device)
+        with _lock:
+            lights, _ = baked_lights(self._scene, str(device))
+        rows, balls = self._rows, self._balls
+        if moving:
+            more = primitive_rows(list(moving), first=len(self._scene.shapes))
+            rows, balls = np.concatenate([rows, more[0]]), np.concatenate([balls, more[1]])
+        seen = in_view(balls, self.camera, T_wc)
+        primitives, bounds = device_arrays(rows[seen], balls[seen], device=device)
         w, h = self.camera.width, self.camera.height
         tiles = -(-w // raycast.TILE) * -(-h // raycast.TILE)
         count = primitives.shape[0]
@@ -141,8 +157,8 @@ class SyntheticScene:
         colour = wp.empty((h, w, 3), dtype=_BYTE, device=device)
         raycast.render(
             primitives,
-            balls,
-            light,
+            bounds,
+            lights,
             intrinsics_of(self.camera),
             wp.mat44(*np.asarray(T_wc, np.float32).ravel().tolist()),
             lists=wp.empty((tiles, count), dtype=int, device=device),
@@ -155,16 +171,6 @@ class SyntheticScene:
             device=device,
         )
         return colour.numpy().copy(), depth.numpy().copy(), objects.numpy().copy()
-
-    def _scene(self) -> tuple[wp.array, wp.array, Any]:
-        """Primitives, balls around them and light on the device, made once."""
-        with _lock:
-            if self._uploaded is None:
-                device = wp.get_device(self._device)
-                light = _baked_light(self._kind, str(device))
-                scene = device_primitives(self._shapes, device=device, without=self._without)
-                self._uploaded = (*scene, light)
-        return self._uploaded
 
 
 class SyntheticOffice(SyntheticScene):
@@ -179,8 +185,7 @@ class SyntheticOffice(SyntheticScene):
             options: see :class:`SyntheticScene`.
         """
         trajectory = loop_trajectory(frames, featureless_wall=featureless_wall) if frames > 0 else np.empty(0)
-        scene = "office with a bare wall" if featureless_wall else "office"
-        super().__init__("office", scene, trajectory, **options)
+        super().__init__("office", office_scene(featureless_wall), trajectory, **options)
 
 
 class SyntheticWall(SyntheticScene):
@@ -193,7 +198,7 @@ class SyntheticWall(SyntheticScene):
             frames: frames of the camera's swaying.
             options: see :class:`SyntheticScene`.
         """
-        super().__init__("wall", "wall", wall_trajectory(frames), **options)
+        super().__init__("wall", wall_scene(), wall_trajectory(frames), **options)
 
 
 def loop_trajectory(frames: int, *, featureless_wall: bool = False) -> Float64:
@@ -227,23 +232,3 @@ def _pose(time: float, featureless_wall: bool) -> Float64:
     T_wc = np.eye(4)
     T_wc[:3, :3], T_wc[:3, 3] = looking(heading, pitch, roll), position
     return T_wc
-
-
-@lru_cache(maxsize=4)
-def _baked_light(scene: SceneKind, device: str) -> Any:
-    """The lights of the full room: two ceiling panels and the window."""
-    shapes = _SCENES[scene]()[0]
-    primitives, balls = device_primitives(shapes, device=device)
-    cell = _LIGHT_CELL
-    light = shading.Light()
-    light.centre = wp.mat33(0.0, -0.9, HEIGHT - 0.12, 0.0, 0.9, HEIGHT - 0.12, -0.75, 1.88, 1.55)
-    light.half_u = wp.mat33(0.56, 0.0, 0.0, 0.56, 0.0, 0.0, 0.68, 0.0, 0.0)
-    light.half_v = wp.mat33(0.0, 0.12, 0.0, 0.0, 0.12, 0.0, 0.0, 0.0, 0.52)
-    light.power = wp.vec3(0.62, 0.62, 0.72)
-    light.ambient = 0.62
-    light.origin = wp.vec3(0.5 * (cell - LENGTH), 0.5 * (cell - WIDTH), 0.5 * cell)
-    light.cell = cell
-    size = tuple(int(np.ceil(length / cell)) for length in (LENGTH, WIDTH, HEIGHT))
-    light.grid = wp.zeros(size, dtype=wp.vec4, device=device)
-    raycast.bake_light(primitives, balls, light, device=device)
-    return light

@@ -9,10 +9,12 @@ World frame as in the office: z up, x to the east, y to the north, where the wal
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
-from ggwarp.datasets.built_in.office import HEIGHT, LENGTH, WIDTH
-from ggwarp.datasets.built_in.scene import Material, SceneBuilder, Shape, looking
+from ggwarp.datasets.built_in.office import HEIGHT, LENGTH, ROOM, WIDTH
+from ggwarp.datasets.built_in.scene import Material, Scene, SceneBuilder, looking
 from ggwarp.kernels.scene import procedural as patterns
 from ggwarp.types import Float64
 
@@ -20,13 +22,14 @@ _DISTANCE = 1.1
 """Of the camera from the wall, metres."""
 
 
-def build_wall() -> tuple[list[Shape], dict[int, str]]:
-    """Return the wall's shapes and the class name of its id: an object, not a structure of a room."""
+@lru_cache(maxsize=1)
+def wall_scene() -> Scene:
+    """Return the wall in the office's light: an object, not a structure of a room."""
     s = SceneBuilder()
     paint = Material((0.88, 0.74, 0.56), (0.30, 0.42, 0.52), patterns.POSTER, 0.22)
     with s.object("wall"):
         s.rectangle((0, 0.5 * WIDTH, 0.5 * HEIGHT), "y", (LENGTH, HEIGHT), paint)
-    return s.shapes, s.names
+    return Scene(s.shapes, s.names, (ROOM,))
 
 
 def wall_trajectory(frames: int) -> Float64:

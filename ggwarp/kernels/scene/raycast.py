@@ -165,7 +165,7 @@ def _shade_kernel(
     lists: wp.array2d[int],
     starts: wp.array2d[float],
     counts: wp.array[int],
-    light: Light,
+    lights: wp.array[Light],
     camera: CameraIntrinsics,
     T_wc: wp.mat44,
     faces: wp.array2d[int],
@@ -202,7 +202,7 @@ def _shade_kernel(
             below = pixel_ray(camera, T_wc, u, v + reach)
             side = hit.t * on_tangent(normal, direction, right)
             down = hit.t * on_tangent(normal, direction, below)
-            rgb += shade(primitives, hit.index, origin + hit.t * direction, hit.normal, side, down, light)
+            rgb += shade(primitives, hit.index, origin + hit.t * direction, hit.normal, side, down, lights)
     for c in range(3):
         colour[row, column, c] = _byte(rgb[c] / float(samples))
 
@@ -222,7 +222,7 @@ def bake_light(primitives: Any, bounds: Any, light: Any, *, device: Any) -> None
 def render(
     primitives: Any,
     bounds: Any,
-    light: Any,
+    lights: Any,
     camera: Any,
     T_wc: Any,
     *,
@@ -240,7 +240,7 @@ def render(
     Args:
         primitives: [n] Primitive.
         bounds: [n] vec4, a ball (centre, radius) around each, metres, world frame.
-        light: Light, baked.
+        lights: [rooms] Light, baked.
         camera: CameraIntrinsics.
         T_wc: wp.mat44 camera-to-world.
         lists, starts: [tiles, n] int and float, scratch; tiles are TILE pixels square, row by row.
@@ -268,7 +268,7 @@ def render(
     launch.launch_split(
         _shade_kernel,
         depth.shape[0] * depth.shape[1],
-        inputs=[primitives, lists, starts, counts, light, camera, T_wc, faces],
+        inputs=[primitives, lists, starts, counts, lights, camera, T_wc, faces],
         outputs=[colour],
         device=device,
         min_piece=2048,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Colour of a surface point of the synthetic office: texture times baked soft light, no view dependence."""
+"""Colour of a surface point of a built-in scene: texture times baked soft light, no view dependence."""
 
 import warp as wp
 
@@ -15,11 +15,13 @@ _K_FRUSTUM = wp.constant(FRUSTUM)
 
 @wp.struct
 class Light:
-    """Three rectangular lights and the baked grid of what reaches each point.
+    """A room's three rectangular lights and the baked grid of what reaches each point.
 
     ``grid`` holds the visible share of each light and the openness, per cell centre.
     """
 
+    low: wp.vec3  # the room's corners
+    high: wp.vec3
     centre: wp.mat33  # row k: centre of light k
     half_u: wp.mat33  # row k: half of its first side
     half_v: wp.mat33
@@ -28,6 +30,26 @@ class Light:
     origin: wp.vec3  # centre of grid cell (0, 0, 0)
     cell: float
     grid: wp.array3d[wp.vec4]
+
+
+@wp.func
+def _room_of(lights: wp.array[Light], point: wp.vec3) -> int:
+    """The room that holds ``point``, or the one nearest to it: a doorway is part of either."""
+    best = int(0)
+    nearest = float(1.0e10)
+    for r in range(lights.shape[0]):
+        low = lights[r].low
+        high = lights[r].high
+        outside = wp.vec3(
+            wp.max(wp.max(low[0] - point[0], point[0] - high[0]), 0.0),
+            wp.max(wp.max(low[1] - point[1], point[1] - high[1]), 0.0),
+            wp.max(wp.max(low[2] - point[2], point[2] - high[2]), 0.0),
+        )
+        distance = wp.length_sq(outside)
+        if distance < nearest:
+            nearest = distance
+            best = r
+    return best
 
 
 @wp.func
@@ -76,7 +98,7 @@ def shade(
     n: wp.vec3,
     side: wp.vec3,
     down: wp.vec3,
-    light: Light,
+    lights: wp.array[Light],
 ) -> wp.vec3:
     """Colour of a surface point in 0..1.
 
@@ -84,6 +106,7 @@ def shade(
         point: world position, metres.
         n: unit shape's normal.
         side, down: half the sample's width and height on the surface, world frame, metres.
+        lights: of each room.
     """
     p = primitives[index]
     q = wp.cw_mul(p.size, p.to_unit * (point - p.centre))
@@ -114,5 +137,5 @@ def shade(
         uv = wp.vec2(uv[1], uv[0])
         w = wp.vec2(w[1], w[0])
     albedo = texture(p.pattern, p.colour_a, p.colour_b, p.scale, p.seed, q, uv, w)
-    lit = _light_at(light, point, world_normal(p, n))
+    lit = _light_at(lights[_room_of(lights, point)], point, world_normal(p, n))
     return albedo * (p.glow + (1.0 - p.glow) * lit)

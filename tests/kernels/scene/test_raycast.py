@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from ggwarp.datasets.built_in.scene import Material, SceneBuilder, device_primitives
+from ggwarp.datasets.built_in.scene import Material, SceneBuilder, device_arrays, primitive_rows
 from ggwarp.geometry.camera import Camera
 from ggwarp.geometry.se3 import so3_exp
 from ggwarp.kernels.camera import intrinsics_of
@@ -155,7 +155,9 @@ def _view(shapes, device, *, width=37, height=21, f=30.0, T_wc=None, without=())
     light = shading.Light()
     light.ambient, light.cell = 1.0, 1.0
     light.grid = wp.full((2, 2, 2), wp.vec4(1.0, 1.0, 1.0, 1.0), dtype=wp.vec4, device=device)
-    primitives, balls = device_primitives(shapes, device=device, without=without)
+    rows, balls = primitive_rows(shapes)
+    kept = ~np.isin(rows["object_id"], without)
+    primitives, balls = device_arrays(rows[kept], balls[kept], device=device)
     tiles, n = -(-width // raycast.TILE) * -(-height // raycast.TILE), primitives.shape[0]
     out = {
         "lists": wp.zeros((tiles, n), dtype=int, device=device),
@@ -167,7 +169,8 @@ def _view(shapes, device, *, width=37, height=21, f=30.0, T_wc=None, without=())
         "colour": wp.zeros((height, width, 3), dtype=wp.uint8, device=device),
     }
     pose = wp.mat44(*np.asarray(np.eye(4) if T_wc is None else T_wc).ravel().tolist())
-    raycast.render(primitives, balls, light, camera, pose, **out, device=device)
+    lights = wp.array([light], dtype=shading.Light, device=device)
+    raycast.render(primitives, balls, lights, camera, pose, **out, device=device)
     return out["depth"].numpy(), out["objects"].numpy(), out["colour"].numpy()
 
 
