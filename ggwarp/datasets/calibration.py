@@ -53,7 +53,7 @@ class Calibration:
         distortion: the colour lens's OpenCV coefficients (k1 k2 p1 p2 [k3 ...]); empty = none.
         depth: the depth pictures' own lens; None: they show what the colour camera does, at any size.
         T_colour_depth: [4, 4] takes points of the depth camera to the colour camera; None: the same place.
-        depth_distorted: whether depth without a lens of its own is bent as the colour is.
+        depth_distorted: whether depth without a lens of its own is bent as the colour is; None: nobody says.
         origin: the file or option that gives the camera, for messages.
         scale_origin: who says what depth_scale is; empty: nobody, it is assumed.
         notes: what is odd about the file, a line each.
@@ -64,8 +64,7 @@ class Calibration:
     distortion: tuple[float, ...] = ()
     depth: Lens | None = None
     T_colour_depth: Float64 | None = None
-    depth_distorted: bool = False
-
+    depth_distorted: bool | None = None
     origin: str = ""
     scale_origin: str = ""
     notes: tuple[str, ...] = ()
@@ -80,12 +79,21 @@ class Calibration:
             Lens(self.camera, self.distortion),
             depth=self.depth,
             T_colour_depth=self.T_colour_depth,
-            depth_distorted=self.depth_distorted,
+            depth_distorted=bool(self.depth_distorted),
         )
 
     @property
     def depth_unit(self) -> str:
-        """The depth's unit in words."""
+        """The depth's unit, and how it is bent, in words."""
+        unit = self.unit_in_words
+        if not self.distortion or self.depth is not None:
+            return unit
+        shape = "bent as the colour is" if self.depth_distorted else "of an ideal camera"
+        return f"{unit}; {shape}" + ("" if self.depth_distorted is None else f", from {self.origin}")
+
+    @property
+    def unit_in_words(self) -> str:
+        """The depth's unit and who says so."""
         return f"{self.depth_scale:g} units a metre, {self._said_by}"
 
     @property
@@ -177,8 +185,8 @@ def read_calibration(
     if "T_color_depth" in values:
         T_colour_depth = _pose(values["T_color_depth"], path)
         depth = depth or colour
-    distorted = values.get("depth_distorted", False)
-    if not isinstance(distorted, bool):
+    distorted = values.get("depth_distorted")
+    if not isinstance(distorted, bool | None):
         raise DatasetError(f"{path}: depth_distorted is {shown(distorted)}; it must be true or false")
     return Calibration(
         colour.camera,

@@ -9,6 +9,7 @@ folder itself.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from ggwarp.datasets.base import DatasetError, Kind, Masks
@@ -22,6 +23,7 @@ from ggwarp.datasets.calibration import (
 )
 from ggwarp.datasets.images import COLOUR_SUFFIXES, DEPTH_SUFFIXES, image_size
 from ggwarp.datasets.pairing import Pairing, pair_files
+from ggwarp.datasets.plan.bent_depth import LEAST_PREFERENCE, preference
 from ggwarp.datasets.poses import read_matrices, read_matrix_files
 from ggwarp.datasets.sequence import Entry, FileSequence, image_files, match_poses
 from ggwarp.datasets.source import Source, contents, unread_entries
@@ -73,7 +75,14 @@ def open_sequence(path: Path, masks: Masks = None, intrinsics: Intrinsics | None
         notes=tuple(pairing.notes),
         unread=unread_entries(path, {*known, *(colour if folder == path else ())}),
     )
-    return FileSequence(path, "folder", entries, calibration, masks=masks, source=source)
+    sequence = FileSequence(path, "folder", entries, calibration, masks=masks, source=source)
+    if not (depth and calibration.distortion) or calibration.depth or calibration.depth_distorted is not None:
+        return sequence
+    bent = replace(calibration, depth_distorted=True)
+    told = replace(source, depth_unit=f"{calibration.unit_in_words}; bent as the colour is, by its edges")
+    other = FileSequence(path, "folder", entries, bent, masks=masks, source=told)
+    prefers = preference(sequence, other)
+    return other if prefers is not None and prefers > LEAST_PREFERENCE else sequence
 
 
 def _calibration(

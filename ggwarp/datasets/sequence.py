@@ -32,6 +32,8 @@ from ggwarp.io.camera import camera_fault
 from ggwarp.io.guarded import FileError, inside
 from ggwarp.types import Float32, Float64, Frame
 
+_MAY_FLOAT = {".exr", ".npy", ".npz", ".tif", ".tiff"}
+
 
 @dataclass(frozen=True)
 class Picture:
@@ -139,10 +141,18 @@ class FileSequence:
         return dataclasses.replace(
             source,
             camera=source.camera or calibration.origin,
-            depth_unit=source.depth_unit or (calibration.depth_unit if self.has_depth else ""),
+            depth_unit=source.depth_unit or self._depth_unit(),
             notes=(*source.notes, *calibration.notes),
             unread=unread,
         )
+
+    def _depth_unit(self) -> str:
+        """Return the depth's unit in words; floating point is metres."""
+        unit = self._calibration.depth_unit
+        suffixes = {entry.depth.suffix for entry in self._entries if isinstance(entry.depth, Path)}
+        if suffixes == {".exr"}:
+            return "metres, in floating point"
+        return (f"metres, or of whole numbers {unit}" if suffixes & _MAY_FLOAT else unit) if suffixes else ""
 
     def __len__(self) -> int:
         return len(self._entries)

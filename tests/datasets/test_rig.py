@@ -10,9 +10,11 @@ import cv2
 import numpy as np
 import pytest
 
+import recorded_scene as room
 from ggwarp.datasets import DatasetError, open_dataset
 from ggwarp.datasets.resize import enlarge_depth
 from ggwarp.datasets.rig import Lens, Rig
+from ggwarp.datasets.source import source_of
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 
@@ -162,3 +164,31 @@ def test_a_camera_file_gives_the_depth_camera_and_where_it_is(recording: Callabl
 def test_a_wrong_camera_file_is_refused(recording: Callable[..., Path], wrong: dict, message: str) -> None:
     with pytest.raises(DatasetError, match=message):
         open_dataset(str(recording(**wrong)), data_root=Path())
+
+
+@pytest.mark.parametrize("bent", [False, True])
+def test_edges_tell_whether_depth_is_bent_as_colour(
+    tmp_path: Path, sample: SimpleNamespace, bent: bool
+) -> None:
+    lens = (0.25, -0.15, 0.001, -0.001, 0.02)
+    camera = room.COLOUR.resized(240, 180)
+    K = camera.matrix
+    grid = np.stack(np.meshgrid(np.arange(240.0), np.arange(180.0)), -1).astype(np.float32)
+    ideal = cv2.undistortPoints(grid.reshape(-1, 1, 2), K, np.array(lens), P=K).reshape(180, 240, 2)
+    u, v = ideal[..., 0].astype(np.float32), ideal[..., 1].astype(np.float32)
+    for i in range(4):
+        rgb, depth = room.look(camera, room.pose(i))
+        rgb[depth < 1.9] //= 2  # the box is darker than the walls
+        seen = cv2.remap(depth, u, v, cv2.INTER_NEAREST) if bent else depth
+        sample.save(tmp_path / f"color/{i}.png", cv2.remap(rgb, u, v, cv2.INTER_LINEAR))
+        sample.save(tmp_path / f"depth/{i}.png", room.millimetres(seen))
+    values = dict(w=240, h=180, fx=camera.fx, fy=camera.fy, cx=camera.cx, cy=camera.cy)
+    (tmp_path / "camera.json").write_text(json.dumps(values | {"distortion": lens}))
+    dataset = open_dataset(str(tmp_path), data_root=tmp_path)
+    got, want = dataset[1].depth, room.look(camera, room.pose(1))[1]
+    assert got is not None and np.median(np.abs(got - want)[got > 0]) < 2e-3
+    assert ("bent as the colour is" in source_of(dataset).depth_unit) == bent
+    told = json.dumps(values | {"distortion": lens, "depth_distorted": not bent})
+    (tmp_path / "camera.json").write_text(told)
+    other = open_dataset(str(tmp_path), data_root=tmp_path)[1].depth
+    assert other is not None and not np.array_equal(other, got), "the file's word goes first"
