@@ -12,8 +12,10 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
+import select
 import sys
 import time
+from collections.abc import Callable
 from enum import Enum
 from typing import IO, Any, Protocol, cast
 
@@ -31,6 +33,7 @@ from rich.text import Text
 from ggwarp.io.printable import printable
 
 _WIDE = 110  # columns from which on there is room for a bar
+_LOOK = 0.2  # seconds after which one who waits for an answer looks whether to go on
 _PLAIN_INTERVAL = 5.0  # seconds between progress lines where there is no terminal
 
 
@@ -67,6 +70,10 @@ class Display(Protocol):
 
     def results(self, metrics: dict[str, Any], groups: dict[str, list[str]]) -> None:
         """Show ``metrics``, a table with a section for each of ``groups`` (title -> keys)."""
+        ...
+
+    def ask(self, question: str, stopped: Callable[[], bool]) -> str:
+        """Return what the user answers, empty where nobody can be asked, or once ``stopped``."""
         ...
 
     def conclude(self, line: str) -> None:
@@ -175,6 +182,9 @@ class PlainDisplay:
         for key in [k for keys in groups.values() for k in keys]:
             _print(self._output, f"{key} {_text(metrics[key])}")
 
+    def ask(self, question: str, stopped: Callable[[], bool]) -> str:
+        return ""
+
     def conclude(self, line: str) -> None:
         _print(self._output, line)
 
@@ -224,6 +234,18 @@ class TerminalDisplay(PlainDisplay):
 
     def close(self) -> None:
         self._progress.stop()
+
+    def ask(self, question: str, stopped: Callable[[], bool]) -> str:
+        if sys.stdin is None or not sys.stdin.isatty():
+            return ""
+        self.close()
+        self._output.print(Text(printable(f"{question} ")), end="")
+        # Not input(): nobody may be there, and a signal must end the wait.
+        while not select.select([sys.stdin], [], [], _LOOK)[0]:
+            if stopped():
+                self._output.print()
+                return ""
+        return sys.stdin.readline().strip()
 
     def results(self, metrics: dict[str, Any], groups: dict[str, list[str]]) -> None:
         title = Text(printable(f"{metrics['sequence']} ({metrics['dataset']})"))

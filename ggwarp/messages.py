@@ -52,11 +52,11 @@ def lateness(reports: Sequence[StepReport]) -> str:
     return f"{len(late)} of {len(reports)} frames were taken up late, by up to {worst:.0f} ms{waiting}"
 
 
-def explain(what: str, reason: BaseException) -> str:
+def explain(what: str, reason: BaseException, *, silent: bool = False) -> str:
     """Say that ``what`` failed, and why; where it looks like a fault of ours, say where in the code, too.
 
     Returns:
-        The line that was said.
+        The line that was said, or with ``silent`` is for the record alone.
     """
     if isinstance(reason, OSError) and reason.strerror:
         why = f"{reason.filename}: {reason.strerror}" if reason.filename else reason.strerror
@@ -64,6 +64,8 @@ def explain(what: str, reason: BaseException) -> str:
         why = f"{type(reason).__name__}: {reason}" if str(reason) else type(reason).__name__
     line = printable(f"{what}: {why}")
     with contextlib.suppress(OSError):  # the terminal may have gone
+        if silent:
+            return line
         if not isinstance(reason, (DatasetError, OSError, MemoryError)):
             traceback.print_exception(reason)
         print(f"ggwarp: {line}", file=sys.stderr)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from ggwarp.config import ConfigError, RunConfig
 from ggwarp.console import Display
+from ggwarp.pipeline.scheduler import LiveScheduler, Scheduler, UncappedScheduler
 from ggwarp.pipeline.slam import Slam
 from ggwarp.runtime import loading
 
@@ -15,6 +16,13 @@ def load_kernels(device: str, display: Display) -> None:
     cold = loading.uncompiled(modules, device)
     display.stage(f"compiling kernels (first run only): {len(cold)} modules" if cold else "loading kernels")
     loading.load(modules, device)
+
+
+def scheduler_of(config: RunConfig, frames: int) -> Scheduler | None:
+    """Return what paces a run of so many ``frames``; None: a fixed amount of mapping a frame."""
+    if config.fps is None:
+        return None
+    return UncappedScheduler() if config.fps == "uncapped" else LiveScheduler(config.fps, frames=frames)
 
 
 def works_concurrently(config: RunConfig, slam: Slam) -> bool:

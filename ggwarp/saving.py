@@ -3,8 +3,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import shutil
+import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,39 +18,133 @@ from ggwarp.results.metrics import metrics_of
 from ggwarp.results.record import RunRecord
 from ggwarp.results.staging import StagedFolder
 
+_NEEDED = {"saving the trajectory", "saving the map"}
+"""Without these there is nothing to keep."""
+
 
 class Saver:
     """Writes a run's results; a part that fails is said, and kept in the record.
 
     Attributes:
         metrics: the figures, as they were saved last.
+        moved: whether all of the run is elsewhere, as its own place could not take it.
     """
 
-    def __init__(self, record: RunRecord, folder: StagedFolder, display: Display, started: float) -> None:
-        """``started``: time.perf_counter() at the command's start."""
+    def __init__(
+        self,
+        record: RunRecord,
+        folder: StagedFolder,
+        display: Display,
+        started: float,
+        *,
+        begin: Callable[[Path], None] = lambda folder: None,
+        stopped: Callable[[], bool] = lambda: False,
+    ) -> None:
+        """Prepare to save.
+
+        Args:
+            started: time.perf_counter() at the command's start.
+            begin: writes what the folder has from the start into another one.
+            stopped: asked while the user's answer is waited for, whether not to.
+        """
         self.metrics: dict[str, Any] = {}
+        self.moved = False
         self._record, self._folder, self._display, self._started = record, folder, display, started
+        self._begin, self._stopped, self._target = begin, stopped, folder.target
         self._gaussians: int | None = None
+        self._missing: set[str] = set()  # parts that no folder has
+        self._failed: set[str] = set()
+        self._refused = False  # by the file system
+        self._told: set[tuple[int | None, Path]] = set()
 
     @property
     def folder(self) -> Path:
         """Where the results are."""
         return self._folder.path
 
+    @property
+    def where(self) -> str:
+        """Where the results are, as the user is told."""
+        if _NEEDED <= self._missing:
+            return "nowhere: no folder could take them"
+        return f"{self.folder}, as {self._target} could not take it" if self.moved else str(self.folder)
+
     def save(self, slam: run_folder.System) -> None:
         """Write the run and put it where it belongs.
 
-        Where a part cannot be written, an earlier run stays in its place, and the rest is kept beside it.
+        Where the file system refuses a part, all of the run is written elsewhere: into the temporary folder
+        or the current one, and on a terminal where the user says. If no folder takes all of it, an earlier
+        run stays in its place, and what there is of this one is kept beside it.
         """
-        before = len(self._record.failures)
+        self._missing = self._write(slam)
+        if self._missing and self._refused and self._save_elsewhere(slam):
+            return
+        if self._missing and self._folder.replaces_a_run:
+            self._display.warn(f"the earlier run in {self._folder.target} stays, as this one is not whole")
+        elif self.attempt("moving the run to its place", self._folder.publish):
+            return
+        # Under its own name the next run does not take it for what a killed one left.
+        if not self.attempt("moving what was saved", self._folder.keep_apart) and not self._missing:
+            self._save_elsewhere(slam)
+
+    def _write(self, slam: run_folder.System) -> set[str]:
+        """Write every part into the folder of now; return those that failed."""
+        self._failed = set()
         self._save_system(slam)
         self.save_tables()
-        if len(self._record.failures) > before and self._folder.replaces_a_run:
-            self._display.warn(f"the earlier run in {self._folder.target} stays, as this one is not whole")
-            self.attempt("moving what was saved", self._folder.keep_apart)
-        elif not self.attempt("moving the run to its place", self._folder.publish):
-            # Under its own name the next run does not take it for what a killed one left.
-            self.attempt("moving what was saved", self._folder.keep_apart)
+        return self._failed
+
+    def _save_elsewhere(self, slam: run_folder.System) -> bool:
+        """Write the run into other folders until one has taken all of it; return whether one has."""
+        first, kept = self._folder, None
+        for parent in _other_places():
+            folder = _folder_in(parent, self._target.name)
+            if folder is not None and self._save_in(slam, folder, instead_of=first):
+                kept = folder
+                break
+            if folder is not None:
+                with contextlib.suppress(OSError):  # it may have something
+                    folder.target.rmdir()
+        state = "nowhere yet" if kept is None else f"in {kept.path}"
+        question = f"{self._target} cannot take the run: it is {state}. Another folder (empty: leave it):"
+        while answer := self._display.ask(question, self._stopped):
+            try:
+                folder = StagedFolder(Path(answer).expanduser(), self._record.sequence)
+            except OSError as error:
+                self._display.warn(f"{answer}: {error.strerror}")
+                continue
+            if self._save_in(slam, folder, instead_of=kept or first):
+                if kept is not None:
+                    shutil.rmtree(kept.path, ignore_errors=True)
+                kept = folder
+                break
+        self._folder = kept or first
+        if kept is not None:
+            self.moved, self._missing = True, set()
+            first.discard()
+        return self.moved
+
+    def _save_in(self, slam: run_folder.System, folder: StagedFolder, *, instead_of: StagedFolder) -> bool:
+        """Write the run into ``folder``; return whether it has taken all of it.
+
+        What it did not take all of stays where it has something that ``instead_of`` lacks.
+        """
+        self._folder = folder
+
+        def begin() -> None:
+            folder.create()
+            self._begin(folder.path)
+
+        missing = self._write(slam) if self.attempt("making another folder", begin) else _NEEDED
+        if not missing and self.attempt("moving the run to its place", folder.publish):
+            return True
+        if self._missing & _NEEDED - missing and self.attempt("moving what was saved", folder.publish):
+            self._display.warn(f"what {instead_of.target} lacks is in {folder.path}")
+            self._missing &= missing
+        else:
+            folder.discard()
+        self._folder = instead_of
+        return False
 
     def _save_system(self, slam: run_folder.System) -> None:
         """Write the trajectory, and the map with its objects and what tells them apart."""
@@ -72,6 +169,8 @@ class Saver:
         try:
             work()
         except Exception as error:
+            self._failed.add(what)
+            self._refused |= isinstance(error, OSError)
             self.failed(f"{what} failed", error)
             return False
         return True
@@ -80,7 +179,11 @@ class Saver:
         """Say that a part of the run failed, and keep it in the record."""
         self._folder.name_target(reason)
         self._display.close()
-        self._record.failures.append(messages.explain(what, reason))
+        # Of the parts that a folder refuses for the same reason, the first is enough.
+        same = (getattr(reason, "errno", None), self._folder.target)
+        self._record.failures.append(messages.explain(what, reason, silent=same in self._told))
+        if isinstance(reason, OSError):
+            self._told.add(same)
 
     def _save_map(self, slam: run_folder.System) -> None:
         arrays = slam.map_arrays()
@@ -91,3 +194,17 @@ class Saver:
         wall_s = time.perf_counter() - self._started
         self.metrics = metrics_of(self._record, wall_s=wall_s, gaussians=self._gaussians)
         run_folder.write_metrics(self._folder.path, self.metrics)
+
+
+def _other_places() -> Iterator[Path]:
+    """Yield where a run goes that its own place cannot take."""
+    with contextlib.suppress(OSError):
+        yield Path(tempfile.gettempdir())
+    yield Path()
+
+
+def _folder_in(parent: Path, name: str) -> StagedFolder | None:
+    """Return a new folder in ``parent``; None: none can be made there."""
+    with contextlib.suppress(OSError):
+        return StagedFolder(Path(tempfile.mkdtemp(prefix=f"ggwarp-{name}-", dir=parent)), name)
+    return None

@@ -8,6 +8,7 @@ import dataclasses
 import itertools
 import signal
 import time
+from pathlib import Path
 
 import ggwarp
 from ggwarp import messages
@@ -29,9 +30,8 @@ from ggwarp.interruption import Interruption
 from ggwarp.io.camera import write_camera
 from ggwarp.io.toml import write_toml
 from ggwarp.pipeline.runner import SideError, run_steps
-from ggwarp.pipeline.scheduler import LiveScheduler, Scheduler, UncappedScheduler
 from ggwarp.pipeline.slam import Slam
-from ggwarp.preparation import load_kernels, works_concurrently
+from ggwarp.preparation import load_kernels, scheduler_of, works_concurrently
 from ggwarp.results.metrics import RESULTS
 from ggwarp.results.record import RunRecord
 from ggwarp.results.renders import RenderWriter
@@ -141,7 +141,7 @@ class Session:
             self._reader.camera,
             self._reader.sensor_camera,
             device=config.device,
-            scheduler=_scheduler(config, len(self._indices)),
+            scheduler=scheduler_of(config, len(self._indices)),
             images=ImageStore(
                 device=config.device, budget=budget - self._kept.room, folder=lambda: folder.path
             ),
@@ -149,8 +149,7 @@ class Session:
         self._concurrent = works_concurrently(config, self._slam)
         for left in folder.create():  # nothing is refused any more
             self._display.note(f"removed {left}, which a run that was killed had left")
-        write_toml(dataclasses.replace(config, out=None), folder.path / "config.toml")
-        write_camera(folder.path / "camera.json", self._reader.camera)
+        self._begin(folder.path)
         load_kernels(config.device, self._display)
         # The objects of untracked masks are numbered by the map.
         names = getattr(dataset, "class_names", {}) if config.slam.masks_kind == "tracked" else {}
@@ -158,7 +157,14 @@ class Session:
             self._name, dataset.kind, config.device, class_names=names, monocular=config.slam.mono
         )
         self.record.plan = self._plan
-        self._saver = Saver(self.record, folder, self._display, self._started)
+        self._saver = Saver(
+            self.record,
+            folder,
+            self._display,
+            self._started,
+            begin=self._begin,
+            stopped=lambda: self._stopped,
+        )
 
     def track_and_map(self) -> None:
         """Process the frames; a failure of either side ends the loop and is kept in the record.
@@ -232,7 +238,7 @@ class Session:
 
         Not after an interrupted or failed run. A failure is said and kept in the record.
         """
-        if self._ended:
+        if self._stopped or (self._ended and not self._saver.moved):
             return
         self._display.stage("evaluating", len(self.record.reports))
         self._saver.attempt("evaluation", self._compare)
@@ -242,22 +248,30 @@ class Session:
 
     def show(self) -> int:
         """Say how the run ended, with its figures where it is complete; return the exit code."""
-        display, record, folder = self._display, self.record, self._saver.folder
+        display, record, where = self._display, self.record, self._saver.where
         display.close()
         share = f"{len(record.reports)} of {len(self._indices)} frames"
         if record.failure is not None:
-            display.conclude(f"failed after {share}; saved in {folder}")
+            display.conclude(f"failed after {share}; saved in {where}")
             return FAILED
         if self._stopped:
-            display.conclude(f"interrupted after {share}; saved in {folder}")
+            display.conclude(f"interrupted after {share}; saved in {where}")
             return self._interruption.exit_code
         display.results(self._saver.metrics, RESULTS)
+        if self._saver.moved:
+            display.conclude(f"saved in {where}")
+            return FAILED
         if record.failures:
             count = len(record.failures)
-            display.conclude(f"{count} part{'s' * (count > 1)} failed; the rest is in {folder}")
+            display.conclude(f"{count} part{'s' * (count > 1)} failed; the rest is in {where}")
             return FAILED
-        display.conclude(f"results in {folder}")
+        display.conclude(f"results in {where}")
         return DONE
+
+    def _begin(self, folder: Path) -> None:
+        """Write what a run folder has from the start."""
+        write_toml(dataclasses.replace(self.config, out=None), folder / "config.toml")
+        write_camera(folder / "camera.json", self._reader.camera)
 
     def _compare(self) -> None:
         record, every = self.record, self.config.save_renders
@@ -312,10 +326,3 @@ class Session:
         self.record.skipped[frame.index] = frame.reason
         self._display.advance(f"frame {frame.index} skipped")
         self._display.warn(f"frame {frame.index} skipped: {frame.reason}")
-
-
-def _scheduler(config: RunConfig, frames: int) -> Scheduler | None:
-    """Return what paces the run; None: a fixed amount of mapping a frame."""
-    if config.fps is None:
-        return None
-    return UncappedScheduler() if config.fps == "uncapped" else LiveScheduler(config.fps, frames=frames)

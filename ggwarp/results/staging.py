@@ -21,6 +21,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from ggwarp.io.lock import in_use, lock_folder
+from ggwarp.io.mounts import is_mount
 from ggwarp.results.run_folder import OUTPUTS
 
 _RENDER = re.compile(r"frame\d+_\w+\.png")
@@ -226,10 +227,7 @@ def _cannot_be_renamed(target: Path) -> bool:
         return False
     here = Path(os.path.realpath("."))
     return (
-        os.path.ismount(target)
-        or target == here
-        or target in here.parents
-        or not os.access(target.parent, os.W_OK)
+        is_mount(target) or target == here or target in here.parents or not os.access(target.parent, os.W_OK)
     )
 
 

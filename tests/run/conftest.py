@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import tempfile
 from pathlib import Path
 
 import cv2
@@ -36,8 +37,9 @@ def scene(tmp_path: Path, rng: np.random.Generator) -> Path:
 
 
 @pytest.fixture
-def fake(monkeypatch, tmp_path):
+def fake(monkeypatch, tmp_path, tmp_path_factory):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path_factory.mktemp("temporary")))
     monkeypatch.delenv("GGWARP_DATA", raising=False)
     monkeypatch.setattr(session, "Slam", FakeSlam)
     monkeypatch.setattr(session, "load_kernels", lambda device, display: None)

@@ -19,18 +19,6 @@ from ggwarp.results import run_folder, staging
 from ggwarp.results.saved_run import load_run
 
 
-def test_no_space_left(scene, fake, monkeypatch, capsys):
-    def full(path, *arguments, **options):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
-
-    monkeypatch.setattr(run_folder, "write_ply", full)
-    assert run.main(["--seq", "room9", "--device", "cpu", "--out", "o"]) == 1
-    reason = f"saving the map failed: {Path('o/map.ply')}: No space left on device"
-    assert only_line(capsys) == f"ggwarp: {reason}"
-    assert json.loads(Path("o/metrics.json").read_text())["failures"] == [reason]
-    assert len(read_tum(Path("o/trajectory.txt"))[0]) == FRAMES and Path("o/objects.json").is_file()
-
-
 def _run_once(capsys) -> dict[str, bytes]:
     """Make a run in ``o`` and return its files."""
     assert run.main(["--seq", "room9", "--device", "cpu", "--out", "o"]) == 0
@@ -47,21 +35,6 @@ def test_an_earlier_run_outlives_a_refusal(scene, fake, monkeypatch, capsys):
     assert run.main(["--seq", "room9", "--device", "cpu", "--frames", "2:4", "--out", "o"]) == 2
     assert before == {p.name: p.read_bytes() for p in Path("o").iterdir() if p.is_file()}
     assert {p.name for p in Path().iterdir()} == {"data", "o"}
-
-
-def test_an_earlier_run_outlives_one_that_cannot_be_saved(scene, fake, monkeypatch, capsys):
-    before = _run_once(capsys)
-
-    def full(path, *arguments, **options):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
-
-    monkeypatch.setattr(run_folder, "write_ply", full)
-    assert run.main(["--seq", "room9", "--device", "cpu", "--out", "o"]) == 1
-    assert before == {p.name: p.read_bytes() for p in Path("o").iterdir() if p.is_file()}
-    out, errors = capsys.readouterr()
-    assert out.splitlines()[-1] == "1 part failed; the rest is in o-incomplete"
-    assert "warning: the earlier run in o stays, as this one is not whole" in errors
-    assert len(read_tum(Path("o-incomplete/trajectory.txt"))[0]) == FRAMES
 
 
 def test_a_run_that_cannot_take_its_place_is_kept_under_its_own_name(scene, fake, monkeypatch, capsys):

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from fake_slam import FRAMES, only_line
-from ggwarp import config, run, session
+from ggwarp import config, preparation, run
 from ggwarp.config.options import option_table
 from ggwarp.datasets.kept_frames import KeptFrames
 from ggwarp.geometry.camera import Camera
@@ -65,8 +65,12 @@ def test_its_configuration_runs_again(scene, fake, tmp_path):
 
 def test_live_modes_have_their_schedulers(scene, fake, monkeypatch):
     made = []
-    monkeypatch.setattr(session, "LiveScheduler", lambda fps, frames: made.append(fps) or SimpleNamespace())
-    monkeypatch.setattr(session, "UncappedScheduler", lambda: made.append("uncapped") or SimpleNamespace())
+    monkeypatch.setattr(
+        preparation, "LiveScheduler", lambda fps, frames: made.append(fps) or SimpleNamespace()
+    )
+    monkeypatch.setattr(
+        preparation, "UncappedScheduler", lambda: made.append("uncapped") or SimpleNamespace()
+    )
     for fps in ("30", "uncapped"):
         assert run.main(["--seq", "room9", "--device", "cpu", "--fps", fps, "--out", "o"]) == 0
         assert run.main(["--config", "o/config.toml", "--out", "again"]) == 0
