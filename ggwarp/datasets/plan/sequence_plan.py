@@ -86,8 +86,8 @@ def plan_sequence(dataset: Dataset, indices: Sequence[int] | None = None) -> Seq
     if with_depth := set(_attribute(dataset, "frames_with_depth") or ()):
         used = [i for i in used if i in with_depth] or used
     known = dataset.kind == "synthetic" or bool(_attribute(dataset, "live"))
-    places = np.linspace(0, len(used) - 1, SAMPLES).astype(int).tolist()
-    chosen: list[int] = [] if known else sorted({used[place] for place in places})
+    places = np.linspace(0, len(used) - 1, SAMPLES)
+    chosen = [] if known else sorted({used[int(place)] for place in places})
     frames, bad = _looked_at(dataset, chosen)
     images = [frame.depth for frame in frames if frame.depth is not None]
     median, share = depth_statistics(images)
