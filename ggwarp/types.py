@@ -33,7 +33,9 @@ class Frame:
         sensor_depth: [H, W] float32 metres, depth at the sensor's own resolution (tracking
             uses it whatever the image scale); None: same as ``depth``.
         depth_timestamp: seconds, when the depth was taken; None: together with the colour.
-        true_mask: [h, w] int32 true object ids, where the data set knows them apart from ``mask``. For
+        native_mask: [H, W] int32 ``mask`` at its own resolution, which objects are measured at; None: as
+            ``mask``. For evaluation alone.
+        true_mask: [H, W] int32 true object ids, where the data set knows them apart from ``mask``. For
             evaluation alone: never read by tracking or mapping.
     """
 
@@ -46,6 +48,7 @@ class Frame:
     sensor_depth: Float32 | None = None
     depth_timestamp: float | None = None
     true_mask: NDArray[np.int32] | None = None
+    native_mask: NDArray[np.int32] | None = None
 
 
 @dataclass(frozen=True)

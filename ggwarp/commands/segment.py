@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from ggwarp.datasets import DatasetError, open_dataset
 from ggwarp.datasets.base import Dataset
-from ggwarp.datasets.masks import write_mask
+from ggwarp.datasets.formats.mask_file import write_mask
 from ggwarp.io.printable import printable
 
 Ids = NDArray[np.int32]

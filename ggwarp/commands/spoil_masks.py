@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from ggwarp.datasets import DatasetError, open_dataset
 from ggwarp.datasets.built_in.faults import MaskFaults, faulty_mask
-from ggwarp.datasets.masks import MASK_FOLDERS, read_mask, write_mask
+from ggwarp.datasets.formats.mask_file import read_mask, write_mask
+from ggwarp.datasets.masks import MASK_FOLDERS
 from ggwarp.datasets.pairing import frame_numbers
 from ggwarp.io.printable import printable
 

@@ -177,7 +177,8 @@ def _built_in(seq: str, masks: Masks, faults: SensorFaults | None) -> Dataset:
         return WithoutMasks(scene)
     from ggwarp.datasets.masks import WithMasks, open_masks
 
-    return WithMasks(scene, open_masks(Path(masks), scene.stems))
+    size = (scene.camera.width, scene.camera.height)
+    return WithMasks(scene, open_masks(Path(masks), scene.stems, size=size))
 
 
 def _built_in_scene(seq: str, faults: SensorFaults | None) -> SyntheticScene:

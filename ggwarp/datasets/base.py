@@ -69,7 +69,7 @@ class WithoutMasks:
         return len(self.inner)
 
     def __getitem__(self, index: int) -> Frame:
-        return replace(self.inner[index], mask=None, true_mask=None)
+        return replace(self.inner[index], mask=None, native_mask=None, true_mask=None)
 
 
 class WithoutDepth:

@@ -42,8 +42,9 @@ class KeptFrames:
 
     def keep(self, frame: Frame) -> None:
         """Hold ``frame``, without its sensor's depth, if there is room."""
-        images = {id(image): image for image in (frame.rgb, frame.depth, frame.mask, frame.true_mask)}
-        size = sum(image.nbytes for image in images.values() if image is not None)
+        pictures = (frame.rgb, frame.depth, frame.mask, frame.native_mask, frame.true_mask)
+        images = {id(image): image for image in pictures if image is not None}
+        size = sum(image.nbytes for image in images.values())
         if size <= self.room:
             self.room -= size
             self._frames[frame.index] = dataclasses.replace(frame, sensor_depth=None)

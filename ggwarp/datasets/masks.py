@@ -1,106 +1,167 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Per-frame object masks, in the three forms that segmenters write.
-
-- ``object_mask/<stem>.png``: one channel, 8 or 16 bits, the value is the id.
-- ``Annotations/<stem>.png``: RGB-coded, id = R + 256 G + 65536 B (DEVA's long ids).
-- ``Annotations/<stem>.png``: a palette image, the palette index is the id (DEVA's short ids).
-
-0 = no object. The form is told by the file, not by the folder.
-"""
+"""Per-frame object masks beside a sequence or in a folder of their own; see :mod:`.formats.mask_file`."""
 
 from __future__ import annotations
 
 import logging
-import struct
-import zlib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from ggwarp.datasets.base import Dataset, DatasetError, FrameError, Masks, at_scale
-from ggwarp.datasets.formats.headers import PNG_SIGNATURE
-from ggwarp.datasets.images import decode, png_chunks, read_bytes
-from ggwarp.datasets.resize import resize_nearest
+from ggwarp.datasets.formats.mask_checks import interpolated, too_many_ids, without_edges
+from ggwarp.datasets.formats.mask_file import Ids, read_mask_file
+from ggwarp.datasets.pairing import in_order, pair_files
+from ggwarp.datasets.resize import resize_labels
+from ggwarp.datasets.source import contents
 from ggwarp.geometry.camera import Camera
 from ggwarp.types import Frame
 
 log = logging.getLogger(__name__)
 
 MASK_FOLDERS = ("object_mask", "Annotations")
-MOST_IDS = 4096
-"""Most ids of one mask, and at most one per 20 pixels: a mask of more is a picture of something else."""
-_ALWAYS_IDS = 256  # what 8 bits hold is never too much
-_PIXELS_PER_ID = 20
-_PALETTE = 3  # PNG colour type
+VOID = -1
+"""Of pixels that say nothing: neither an object nor none."""
+_SAMPLES = 5  # masks that are looked at when a folder is opened
+_SAME_SHAPE = 0.02  # of the aspect: the rounding of a small mask
 
 
 class MaskFolder:
-    """The object masks of a sequence."""
+    """The object masks of a sequence.
 
-    def __init__(self, folder: Path, stems: Sequence[str]) -> None:
-        """Match the masks in ``folder`` with the frames whose image stems are ``stems``."""
+    Attributes:
+        folder: where they are.
+        clean_edges: whether ids that lie only along edges are left out: the masks were interpolated.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        stems: Sequence[str],
+        *,
+        size: tuple[int, int] | None = None,
+        void: Sequence[int] = (),
+    ) -> None:
+        """Match the masks in ``folder`` with the frames whose image stems are ``stems``, and look at a few.
+
+        Args:
+            size: (width, height) of the frames, pixels, whose shape the masks must have; None: any.
+            void: ids of pixels that say nothing.
+
+        Raises:
+            DatasetError: they are of another shape than the frames, or no masks at all.
+        """
         self.folder = folder
-        present = {path.stem for path in folder.glob("*.png")}
-        self._found = [folder / f"{stem}.png" if stem in present else None for stem in stems]
-        self._warned_size = False
-        self._warned_ids = False
+        self._void = np.array(sorted(void), np.int32)
+        self._found, self._by, self._notes = _matched(folder, stems)
+        self._warned: set[str] = set()
+        self._forms: set[str] = set()
+        self._size = size
+        self.clean_edges = False
+        if self.count:
+            self._look()
 
     @property
     def count(self) -> int:
         """Number of frames that have a mask."""
         return sum(path is not None for path in self._found)
 
-    def read(self, index: int, width: int, height: int) -> NDArray[np.int32] | None:
-        """Return frame ``index``'s object ids [height, width]; None where there is no mask.
+    @property
+    def text(self) -> str:
+        """What the masks are, in words."""
+        forms = ", ".join(sorted(self._forms))
+        return f"{self.folder.name}/, {self.count} of {len(self._found)} frames, by {self._by}; {forms}"
 
-        A mask of another size is resampled by nearest neighbour, with one warning a sequence;
-        an unreadable one counts as missing, with a warning: the frame itself is good. So does one with more
-        ids than a segmenter finds, with one warning a sequence: colours in a mask's place would all be ids.
+    def read(self, index: int) -> Ids | None:
+        """Return frame ``index``'s object ids [H, W] at their own size; None where there is no mask.
+
+        Pixels of void ids, and those along the edges of interpolated masks, are :data:`VOID`. An unreadable
+        mask counts as missing, with a warning: the frame itself is good. So does one of another shape than
+        the frames, and one with more ids than a segmenter finds, with one warning a sequence each: colours in
+        a mask's place would all be ids.
         """
         path = self._found[index]
         if path is None:
             return None
         try:
-            ids = read_mask(path)
+            ids = read_mask_file(path).ids
         except FrameError as error:
             log.warning("%s: frame %d goes without a mask", error, index)
             return None
-        if self._too_many_ids(ids, path):
-            return None
-        if ids.shape != (height, width):
-            if not self._warned_size:
-                log.warning(
-                    "%s: %dx%d, but the colour image is %dx%d; masks are resampled (nearest neighbour)",
-                    path,
-                    ids.shape[1],
-                    ids.shape[0],
-                    width,
-                    height,
-                )
-                self._warned_size = True
-            ids = resize_nearest(ids, width, height)
-        return ids
+        for kind, fault in (("shape", self._shape_fault(ids)), ("ids", too_many_ids(ids))):
+            if fault:
+                self._warn_once(kind, f"{path}: {fault}; such masks are left aside")
+                return None
+        return self._cleaned(ids)
 
-    def _too_many_ids(self, ids: NDArray[np.int32], path: Path) -> bool:
-        most = max(_ALWAYS_IDS, min(MOST_IDS, ids.size // _PIXELS_PER_ID))
-        if int(ids.max(initial=0)) < most:
-            return False
-        present = np.zeros(int(ids.max()) + 1, np.bool_)
-        present[ids] = True
-        count = np.count_nonzero(present)
-        if count > most and not self._warned_ids:
+    def _cleaned(self, ids: Ids) -> Ids:
+        if self.clean_edges:
+            ids = without_edges(ids, VOID)
+        return np.where(np.isin(ids, self._void), VOID, ids) if len(self._void) else ids
+
+    def _look(self) -> None:
+        """Look at a few masks, spread over the sequence, and at what they have in common.
+
+        Raises:
+            DatasetError: all of them are of another shape than the frames, or pictures of something else.
+        """
+        present = [path for path in self._found if path is not None]
+        places = np.linspace(0, len(present) - 1, min(_SAMPLES, len(present))).astype(int)
+        chosen = [present[int(place)] for place in places]
+        masks, faults = [], []
+        for path in chosen:
+            try:
+                mask = read_mask_file(path)
+            except FrameError:
+                continue  # told when its frame is read
+            self._forms.add(mask.form)
+            if fault := self._shape_fault(mask.ids) or too_many_ids(mask.ids):
+                faults.append(f"{path}: {fault}")
+            else:
+                masks.append(mask.ids)
+        if faults and not masks:
+            raise DatasetError(f"{faults[0]}; --masks none does without")
+        for note in self._notes:
+            log.warning("%s: %s", self.folder, note)
+        if reason := interpolated(masks):
+            self.clean_edges = True
+            log.warning("%s: %s", self.folder, reason)
+        if self._size is not None and masks and masks[0].shape != self._size[::-1]:
+            height, width = masks[0].shape
             log.warning(
-                "%s: holds %d ids, more than %d: is it a picture of ids? Such masks are left aside",
-                path,
-                count,
-                most,
+                "%s: %dx%d, but the colour image is %dx%d; masks are resampled",
+                chosen[0],
+                width,
+                height,
+                *self._size,
             )
-            self._warned_ids = True
-        return bool(count > most)
+
+    def _shape_fault(self, ids: Ids) -> str:
+        if self._size is None:
+            return ""
+        (height, width), (w, h) = ids.shape, self._size
+        if abs(width * h / (height * w) - 1.0) <= _SAME_SHAPE:
+            return ""
+        turned = ", turned by a quarter?" if abs(height * h / (width * w) - 1.0) <= _SAME_SHAPE else ""
+        return f"is {width}x{height}, of another shape than the {w}x{h} images{turned}"
+
+    def _warn_once(self, kind: str, line: str) -> None:
+        if kind not in self._warned:
+            log.warning("%s", line)
+            self._warned.add(kind)
+
+
+def _matched(folder: Path, stems: Sequence[str]) -> tuple[list[Path | None], str, list[str]]:
+    """Return each frame's mask in ``folder``, what they were matched by, and what is odd about that."""
+    files = in_order([path for path in folder.glob("*.png") if not path.name.startswith(".")])
+    try:
+        pairing = pair_files([Path(f"{stem}.png") for stem in stems], files, "images", "masks")
+    except DatasetError:
+        return [None] * len(stems), "name", []
+    notes = pairing.notes if pairing.by == "order" else []
+    return [files[i] if i >= 0 else None for i in pairing.partners], pairing.by, notes
 
 
 class WithMasks:
@@ -108,144 +169,127 @@ class WithMasks:
 
     has_masks = True
 
-    def __init__(self, dataset: Dataset, masks: MaskFolder, *, drawn_for: Camera | None = None) -> None:
-        """Join them.
-
-        Args:
-            drawn_for: the camera whose size the masks should have; default: the data set's.
-        """
+    def __init__(self, dataset: Dataset, masks: MaskFolder) -> None:
+        """Join them."""
         self.name, self.kind, self.camera = dataset.name, dataset.kind, dataset.camera
         self.has_depth = dataset.has_depth
         self.inner = dataset
         self.class_names: dict[int, str] = getattr(dataset, "class_names", {})
+        self.masks_text = masks.text
         self._masks = masks
-        self._drawn_for = drawn_for or dataset.camera
 
     def __len__(self) -> int:
         return len(self.inner)
 
     def __getitem__(self, index: int) -> Frame:
-        mask = self._masks.read(index, self._drawn_for.width, self._drawn_for.height)
-        if mask is not None:
-            mask = resize_nearest(mask, self.camera.width, self.camera.height)
-        return replace(self.inner[index], mask=mask)
+        return with_mask(self.inner[index], self._masks.read(index), self.camera)
 
     def scaled(self, scale: float) -> WithMasks:
         """Return the same with frames of ``scale`` times the size, where the data set renders them."""
-        return WithMasks(at_scale(self.inner, scale), self._masks, drawn_for=self._drawn_for)
+        return WithMasks(at_scale(self.inner, scale), self._masks)
 
 
-def find_masks(sequence: Path, stems: Sequence[str], masks: Masks = None) -> MaskFolder | None:
+def with_mask(frame: Frame, ids: Ids | None, camera: Camera) -> Frame:
+    """Return ``frame`` with a mask [H, W] of any size, also resampled to the size of ``camera``."""
+    if ids is None:
+        return replace(frame, mask=None, native_mask=None)
+    mask = resize_labels(ids, camera.width, camera.height)
+    return replace(frame, mask=mask, native_mask=None if mask is ids else ids)
+
+
+def find_masks(
+    sequence: Path,
+    stems: Sequence[str],
+    masks: Masks = None,
+    *,
+    size: tuple[int, int] | None = None,
+    void: Sequence[int] = (),
+) -> MaskFolder | None:
     """Find the masks of a sequence.
 
     Args:
         sequence: the sequence's folder.
         stems: stem of each frame's colour image.
-        masks: a folder that holds ``<stem>.png``, or ``object_mask/`` or ``Annotations/`` that
-            does; None: look in ``sequence``; "none": do without.
+        masks: a folder that holds masks named or numbered as the images, or a folder that does; None: look in
+            ``sequence``; "none": do without.
+        size, void: see :class:`MaskFolder`.
 
     Raises:
-        DatasetError: a folder was named, but has no mask of any frame.
+        DatasetError: a folder was named, but has no mask of any frame; or what is there are no masks.
     """
     if masks is not None:
-        return None if str(masks) == "none" else open_masks(Path(masks), stems)
-    return _first_with_masks([sequence / name for name in MASK_FOLDERS], stems)
-
-
-def open_masks(given: Path, stems: Sequence[str]) -> MaskFolder:
-    """Open a folder that holds ``<stem>.png``, or ``object_mask/`` or ``Annotations/`` that does.
-
-    Raises:
-        DatasetError: it is no folder, or has no mask of any frame.
-    """
-    if not given.is_dir():
-        raise DatasetError(f"{given}: no such folder; --masks names a folder of <image stem>.png, or none")
-    found = _first_with_masks([given, *(given / name for name in MASK_FOLDERS)], stems)
+        return None if str(masks) == "none" else open_masks(Path(masks), stems, size=size, void=void)
+    folders = [sequence / name for name in MASK_FOLDERS]
+    found = _first_with_masks(folders, stems, size, void)
     if found is None:
-        example = f"{stems[0]}.png" if stems else "<image stem>.png"
-        raise DatasetError(
-            f"{given}: holds no mask of any frame; masks are named as the images, such as {example}"
-        )
+        for folder in folders:
+            if folder.is_dir() and any(folder.iterdir()):
+                log.warning(
+                    "%s: holds %s, but no PNG with the name or number of an image: objects are not learnt",
+                    folder,
+                    contents(folder),
+                )
     return found
 
 
-def _first_with_masks(folders: list[Path], stems: Sequence[str]) -> MaskFolder | None:
-    for folder in folders:
-        if folder.is_dir() and (found := MaskFolder(folder, stems)).count:
-            return found
-    return None
+def open_masks(
+    given: Path,
+    stems: Sequence[str],
+    *,
+    size: tuple[int, int] | None = None,
+    void: Sequence[int] = (),
+) -> MaskFolder:
+    """Open a folder of masks, or one that holds ``object_mask/`` or ``Annotations/``, or a folder in these.
+
+    Raises:
+        DatasetError: it is no folder, has no mask of any frame, several folders in it have, or what is there
+            are no masks.
+    """
+    if not given.is_dir():
+        raise DatasetError(f"{given}: no such folder; --masks names a folder of <image stem>.png, or none")
+    folders = [given, *(given / name for name in MASK_FOLDERS)]
+    if found := _first_with_masks(folders, stems, size, void):
+        return found
+    deeper = [p for folder in folders if folder.is_dir() for p in sorted(folder.iterdir()) if p.is_dir()]
+    having = [folder for folder in deeper if _has_masks(folder, stems)]
+    if len(having) == 1:
+        return MaskFolder(having[0], stems, size=size, void=void)
+    if having:
+        names = ", ".join(str(folder) for folder in having[:5])
+        raise DatasetError(f"{given}: several folders in it hold masks of the frames ({names}); name one")
+    example = f"{stems[0]}.png" if stems else "<image stem>.png"
+    jpegs = "; JPEG changes ids, so that masks must be PNG" if _has_jpegs(folders) else ""
+    raise DatasetError(
+        f"{given}: holds no mask of any frame ({contents(given)}); masks are named or numbered as the "
+        f"images, such as {example}{jpegs}"
+    )
 
 
-def find_true_masks(sequence: Path, stems: Sequence[str], given: MaskFolder | None) -> MaskFolder | None:
+def _has_jpegs(folders: Sequence[Path]) -> bool:
+    return any(any(folder.glob("*.jp*g")) for folder in folders)
+
+
+def _first_with_masks(
+    folders: list[Path], stems: Sequence[str], size: tuple[int, int] | None, void: Sequence[int]
+) -> MaskFolder | None:
+    found = next((folder for folder in folders if _has_masks(folder, stems)), None)
+    return None if found is None else MaskFolder(found, stems, size=size, void=void)
+
+
+def _has_masks(folder: Path, stems: Sequence[str]) -> bool:
+    return folder.is_dir() and any(path is not None for path in _matched(folder, stems)[0])
+
+
+def find_true_masks(
+    sequence: Path, stems: Sequence[str], given: MaskFolder | None, size: tuple[int, int] | None = None
+) -> MaskFolder | None:
     """Find the masks beside the images where ``given`` are others: what those are measured against.
 
     Args:
-        sequence, stems: as for :func:`find_masks`.
+        sequence, stems, size: as for :func:`find_masks`.
         given: the masks in use; None: none, and so nothing to measure.
     """
-    own = None if given is None else find_masks(sequence, stems)
-    if given is None or own is None or own.folder.resolve() == given.folder.resolve():
+    own = next((f for f in (sequence / name for name in MASK_FOLDERS) if _has_masks(f, stems)), None)
+    if given is None or own is None or own.resolve() == given.folder.resolve():
         return None
-    return own
-
-
-def write_mask(path: Path, ids: NDArray[np.int32]) -> None:
-    """Write object ids [h, w] as ``object_mask/`` has them; RGB-coded where 16 bits do not hold them.
-
-    Raises:
-        OSError: the file cannot be written.
-        ValueError: an id is negative, or above 2^24 - 1.
-    """
-    largest = int(ids.max(initial=0))
-    if ids.min(initial=0) < 0 or largest >= 1 << 24:
-        raise ValueError(f"{path}: ids {ids.min()} to {largest}; a mask holds 0 to {(1 << 24) - 1}")
-    if largest < 1 << 16:
-        image = ids.astype(np.uint8 if largest < 1 << 8 else np.uint16)
-    else:
-        image = np.stack([ids >> 16, (ids >> 8) & 255, ids & 255], axis=2).astype(np.uint8)  # BGR
-    path.write_bytes(cv2.imencode(".png", image)[1].tobytes())
-
-
-def read_mask(path: Path) -> NDArray[np.int32]:
-    """Return the object ids [h, w] of a mask file, in any of the three forms; 0 = no object.
-
-    Raises:
-        FrameError: the file is missing, damaged or of none of the forms.
-    """
-    data = read_bytes(path)
-    palette = _without_palette(data, path)
-    if palette is not None:
-        grey, bits = palette
-        # OpenCV spreads fewer bits over 0..255.
-        return (decode(grey, path, cv2.IMREAD_UNCHANGED) // (255 // (2**bits - 1))).astype(np.int32)
-    image = decode(data, path, cv2.IMREAD_UNCHANGED)
-    if image.ndim == 2:
-        return image.astype(np.int32)
-    if image.dtype != np.uint8 or image.shape[2] < 3:
-        raise FrameError(
-            f"{path}: {image.shape[2]} channels of {image.dtype}; RGB-coded ids are 8 bits a channel"
-        )
-    blue, green, red = (image[..., channel].astype(np.int32) for channel in range(3))
-    return red + 256 * green + 65536 * blue
-
-
-def _without_palette(data: bytes, path: Path) -> tuple[bytes, int] | None:
-    """Return a palette PNG as a grey one of the same indices, and its bits a pixel; else None.
-
-    OpenCV turns a palette into colours, of which two indices may share one.
-    """
-    if not data.startswith(PNG_SIGNATURE):
-        return None
-    chunks = list(png_chunks(data, path))
-    header = chunks[0][1]
-    if len(header) != 13 or header[9] != _PALETTE or header[8] not in (1, 2, 4, 8):
-        return None
-    grey = bytearray(PNG_SIGNATURE)
-    for kind, content in chunks:
-        if kind == b"IHDR":
-            content = header[:9] + b"\x00" + header[10:]
-        elif kind not in (b"IDAT", b"IEND"):
-            continue
-        grey += struct.pack(">I", len(content)) + kind + content
-        grey += struct.pack(">I", zlib.crc32(kind + content))
-    return bytes(grey), header[8]
+    return MaskFolder(own, stems, size=size)

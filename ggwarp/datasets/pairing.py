@@ -23,7 +23,7 @@ from ggwarp.types import Float64
 TIME_TOLERANCE = 0.02
 """Largest time between two images of one frame, seconds: as the TUM benchmark's own tools take it."""
 
-_BESIDE = 4
+_BESIDE = 16
 """Times on either side of one that may be its partners."""
 _DECIMAL = re.compile(r"\d+(?:\.\d+)?")
 _WHOLE = re.compile(r"\d+")

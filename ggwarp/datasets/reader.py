@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from ggwarp.datasets.base import Dataset, DatasetError, FrameError, at_scale
-from ggwarp.datasets.resize import reduce_depth, resize_nearest
+from ggwarp.datasets.resize import reduce_depth, resize_labels
 from ggwarp.geometry.camera import Camera
 from ggwarp.types import Frame
 
@@ -153,19 +153,21 @@ def _within(ready: queue.Queue[T], seconds: float) -> T | None:
 
 
 def resized(frame: Frame, camera: Camera) -> Frame:
-    """Return ``frame`` resampled to ``camera``'s size; ``sensor_depth`` keeps the native depth."""
+    """Return ``frame`` resampled to ``camera``'s size.
+
+    ``sensor_depth`` and ``native_mask`` keep what was there; the true mask stays at its own size, where
+    objects are measured.
+    """
     if frame.rgb.shape[:2] == (camera.height, camera.width):
         return frame
     rgb = cv2.resize(frame.rgb, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
-    depth, mask, truth = frame.depth, frame.mask, frame.true_mask
-    small = None if mask is None else resize_nearest(mask, camera.width, camera.height)
-    if truth is not None:
-        truth = small if truth is mask else resize_nearest(truth, camera.width, camera.height)
+    depth = frame.depth
+    native = frame.mask if frame.native_mask is None else frame.native_mask
     return replace(
         frame,
         rgb=np.asarray(rgb, np.uint8),
         depth=None if depth is None else reduce_depth(depth, camera.width, camera.height),
-        mask=small,
+        mask=None if native is None else resize_labels(native, camera.width, camera.height),
         sensor_depth=depth,
-        true_mask=truth,
+        native_mask=native,
     )

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from ggwarp.types import Float32
 
+_PLACES = 4
+"""Places along a side at which a footprint of labels is looked at."""
 _AGREEMENT = 0.02
 """Readings agree when max - min is below this share of their mean."""
 
@@ -18,6 +20,36 @@ def resize_nearest(image: NDArray, width: int, height: int) -> NDArray:
     rows = ((np.arange(height) + 0.5) * image.shape[0] / height).astype(np.intp)
     columns = ((np.arange(width) + 0.5) * image.shape[1] / width).astype(np.intp)
     return image[rows[:, None], columns]
+
+
+def resize_labels(labels: NDArray[np.int32], width: int, height: int) -> NDArray[np.int32]:
+    """Return ``labels`` [H, W] resampled to [height, width]: where it shrinks, what fills most of each pixel.
+
+    A footprint is looked at in 4 x 4 places. Of labels that fill as much of it, the upper left and the lower
+    right are taken in turn, so that no border moves: no pixel of an even footprint is its middle.
+    """
+    if labels.shape == (height, width):
+        return labels
+    if labels.shape[0] <= height or labels.shape[1] <= width:
+        return resize_nearest(labels, width, height)
+    places = (np.arange(_PLACES) + 0.5) / _PLACES
+    rows = ((np.arange(height)[:, None] + places) * labels.shape[0] / height).astype(np.intp)
+    columns = ((np.arange(width)[:, None] + places) * labels.shape[1] / width).astype(np.intp)
+    corner = labels[rows[:, :1], columns[:, 0]]
+    mixed = np.zeros(corner.shape, np.bool_)
+    for i in range(_PLACES):
+        for j in range(_PLACES):
+            mixed |= labels[rows[:, i, None], columns[:, j]] != corner
+    out = corner.copy()
+    y, x = np.nonzero(mixed)
+    if len(y):
+        found = labels[rows[y][:, :, None], columns[x][:, None, :]].reshape(len(y), -1)
+        votes = (found[:, :, None] == found[:, None, :]).sum(axis=2)
+        first = votes.argmax(axis=1)
+        last = votes.shape[1] - 1 - votes[:, ::-1].argmax(axis=1)
+        chosen = np.where((y + x) % 2 == 0, first, last)
+        out[y, x] = found[np.arange(len(y)), chosen]
+    return out
 
 
 def reduce_depth(depth: Float32, width: int, height: int) -> Float32:

@@ -91,6 +91,10 @@ class Rig:
             "colour camera, or give its own camera in the camera file"
         )
 
+    def bends(self, camera: Camera | None = None) -> bool:
+        """Return whether colour pictures (of ``camera``, where it is not the recording's) are resampled."""
+        return self._map is not None or camera not in (None, self.camera)
+
     def colour(self, rgb: NDArray[np.uint8], camera: Camera | None = None) -> NDArray[np.uint8]:
         """Return a colour picture [h, w, 3] as the frames' camera sees it.
 

@@ -24,8 +24,9 @@ from ggwarp.datasets.images import (
     shown_size,
     size_of,
 )
-from ggwarp.datasets.masks import find_masks, find_true_masks
+from ggwarp.datasets.masks import find_masks, find_true_masks, with_mask
 from ggwarp.datasets.pairing import frame_numbers, in_order
+from ggwarp.datasets.resize import resize_labels
 from ggwarp.datasets.source import NO_SOURCE, Source
 from ggwarp.geometry.camera import Camera
 from ggwarp.io.camera import camera_fault
@@ -121,8 +122,10 @@ class FileSequence:
         self._least_confidence = least_confidence
         self.stems = [entry.rgb.stem for entry in entries]
         """Each frame's name, as its mask has it."""
-        self._masks = find_masks(root, self.stems, masks)
-        self._true_masks = find_true_masks(root, self.stems, self._masks)
+        size = (self.camera.width, self.camera.height)
+        self._masks = find_masks(root, self.stems, masks, size=size)
+        self._true_masks = find_true_masks(root, self.stems, self._masks, size)
+        self.masks_text = self._masks.text if self._masks else ""
         self.frames_with_depth = [i for i, entry in enumerate(entries) if entry.depth]
         self.has_depth = bool(self.frames_with_depth)
         self.has_masks = self._masks is not None
@@ -164,19 +167,20 @@ class FileSequence:
         taken = entry.camera or self.camera
         rgb = self._rig.colour(self._colour(entry, (taken.width, taken.height)), entry.camera)
         depth = self._depth(entry)
-        mask = self._masks.read(index, taken.width, taken.height) if self._masks else None
-        truth = self._true_masks.read(index, taken.width, taken.height) if self._true_masks else None
-        mask, truth = (self._rig.labels(labels, entry.camera) for labels in (mask, truth))
-        return Frame(
-            index,
-            entry.timestamp,
-            rgb,
-            depth,
-            mask,
-            entry.T_wc,
-            depth_timestamp=entry.depth_timestamp,
-            true_mask=truth,
+        frame = Frame(
+            index, entry.timestamp, rgb, depth, T_wc=entry.T_wc, depth_timestamp=entry.depth_timestamp
         )
+        if self._true_masks:
+            frame = dataclasses.replace(frame, true_mask=self._seen(self._true_masks.read(index), taken))
+        return with_mask(
+            frame, self._seen(self._masks.read(index), taken) if self._masks else None, self.camera
+        )
+
+    def _seen(self, labels: NDArray[np.int32] | None, taken: Camera) -> NDArray[np.int32] | None:
+        """Return labels drawn on pictures of the camera ``taken`` as the frames' camera sees them."""
+        if labels is None or not self._rig.bends(taken):
+            return labels
+        return self._rig.labels(resize_labels(labels, taken.width, taken.height), taken)
 
     def _colour(self, entry: Entry, size: Size) -> NDArray[np.uint8]:
         try:

@@ -113,7 +113,8 @@ def evaluate(
         score = _score(frame, view, frame.index not in used, lpips)
         scores.append(score)
         reference: Reference = "given" if frame.true_mask is None else "truth"
-        mask = frame.mask if frame.true_mask is None else frame.true_mask
+        given = frame.mask if frame.native_mask is None else frame.native_mask
+        mask = given if frame.true_mask is None else frame.true_mask
         if mask is not None and view.objects is not None:
             objects[reference, frame.index not in taught].add(view.objects, mask)
         if on_view is not None:

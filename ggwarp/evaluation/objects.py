@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 Ids = NDArray[np.int32]
 
 BORDER = 2
-"""Pixels on either side of a true mask's border that the interior figures leave out."""
+"""Rendered pixels on either side of a true mask's border that the interior figures leave out."""
 _SEGMENT_IOU = 0.5  # above it at most one segment can match another (Kirillov et al., 2019)
 
 
@@ -163,10 +163,20 @@ class ObjectScore:
         self._interiors: list[_Pairs] = []
 
     def add(self, rendered: Ids, true: Ids) -> None:
-        """Count one image: ``rendered`` (0 or above) and ``true`` [h, w] object ids, 0 = no object."""
+        """Count one image at the size of ``true``: object ids, 0 = no object.
+
+        Args:
+            rendered: [h, w] 0 or above; each of the true mask's pixels is held against the one it falls into.
+            true: [H, W]; negative ids are not counted.
+        """
+        (height, width), (h, w) = true.shape, rendered.shape
+        if true.shape != rendered.shape:
+            rows = ((np.arange(height) + 0.5) * h / height).astype(np.intp)
+            columns = ((np.arange(width) + 0.5) * w / width).astype(np.intp)
+            rendered = rendered[rows[:, None], columns]
         labelled = true >= 0
         self._images.append(_Pairs.of(true[labelled], rendered[labelled]))
-        inside = interior(true) & labelled
+        inside = interior(true, round(BORDER * max(1.0, width / w))) & labelled
         self._interiors.append(_Pairs.of(true[inside], rendered[inside]))
 
     def __bool__(self) -> bool:

@@ -11,7 +11,7 @@ import pytest
 
 from ggwarp.commands import segment
 from ggwarp.datasets import open_dataset
-from ggwarp.datasets.masks import read_mask
+from ggwarp.datasets.formats.mask_file import read_mask
 
 SHAPE = (30, 40)
 

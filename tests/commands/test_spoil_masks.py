@@ -8,7 +8,7 @@ import pytest
 
 from ggwarp.commands import spoil_masks
 from ggwarp.datasets.built_in.faults import MaskFaults, changed_names, faulty_mask, shared_names
-from ggwarp.datasets.masks import read_mask, write_mask
+from ggwarp.datasets.formats.mask_file import read_mask, write_mask
 
 
 @pytest.fixture

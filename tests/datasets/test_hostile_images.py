@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from ggwarp.datasets import FrameError
 from ggwarp.datasets.formats.jpeg import JpegError, check_codes, check_markers
+from ggwarp.datasets.formats.mask_file import read_mask
 from ggwarp.datasets.images import read_colour, read_depth
-from ggwarp.datasets.masks import read_mask
 
 HEIGHT, WIDTH = 37, 51
 FORMS = {

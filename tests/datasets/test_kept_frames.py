@@ -35,7 +35,7 @@ class Office(SyntheticOffice):
         return super().__getitem__(index)
 
 
-@pytest.mark.parametrize(("held", "budget"), [(0, 0), (2, 4 * 2 * 11 * PIXELS), (6, 1 << 30)])
+@pytest.mark.parametrize(("held", "budget"), [(0, 0), (2, 4 * 2 * 27 * PIXELS), (6, 1 << 30)])
 def test_frames_come_again_in_order(held: int, budget: int) -> None:
     office = Office()
     kept = KeptFrames(office, scale=SCALE, budget=budget)
@@ -52,5 +52,5 @@ def test_frames_come_again_in_order(held: int, budget: int) -> None:
     assert len(office.read) == len(first) + len(wanted) - held
     for frame in again:
         one = first[frame.index]
-        for name in ("rgb", "depth", "mask", "true_mask", "T_wc"):
+        for name in ("rgb", "depth", "mask", "native_mask", "true_mask", "T_wc"):
             np.testing.assert_array_equal(getattr(frame, name), getattr(one, name))

@@ -12,7 +12,7 @@ import pytest
 from ggwarp.datasets import KINDS, Dataset, DatasetError, Kind, open_dataset, register
 from ggwarp.datasets.base import at_scale
 from ggwarp.datasets.built_in.faults import SensorFaults
-from ggwarp.datasets.masks import write_mask
+from ggwarp.datasets.formats.mask_file import write_mask
 from ggwarp.datasets.readers.tum import full_name
 
 Maker = Callable[..., Path]
@@ -79,7 +79,7 @@ def test_the_built_in_scenes_take_faults(tmp_path: Path) -> None:
 def test_the_built_in_office_goes_without_masks_when_told(tmp_path: Path) -> None:
     dataset = open_dataset("office", data_root=tmp_path, masks="none")
     assert not dataset.has_masks and isinstance(dataset, Dataset)
-    with pytest.raises(DatasetError, match=r"no mask of any frame; .* such as frame000000.png"):
+    with pytest.raises(DatasetError, match=r"no mask of any frame .* such as frame000000.png"):
         open_dataset("office", data_root=tmp_path, masks=tmp_path)
 
 

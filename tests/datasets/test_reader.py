@@ -119,6 +119,12 @@ def test_at_full_size_nothing_is_touched(make_replica: Maker) -> None:
     np.testing.assert_array_equal(frame.rgb, dataset[0].rgb)
 
 
+def halved(ids: np.ndarray) -> np.ndarray:
+    """Return the upper left and the lower right of four different ids in turn."""
+    rows, columns = np.indices((ids.shape[0] // 2, ids.shape[1] // 2))
+    return np.where((rows + columns) % 2 == 0, ids[::2, ::2], ids[1::2, 1::2])
+
+
 def test_a_scale_resamples_each_in_its_way(make_replica: Maker, sample: SimpleNamespace) -> None:
     scene = make_replica(1)
     ids = (np.arange(16 * 24).reshape(16, 24) % 200).astype(np.uint8)
@@ -132,11 +138,12 @@ def test_a_scale_resamples_each_in_its_way(make_replica: Maker, sample: SimpleNa
     want = cv2.resize(native.rgb, (12, 8), interpolation=cv2.INTER_AREA)
     np.testing.assert_array_equal(frame.rgb, want)
     np.testing.assert_array_equal(frame.depth, np.full((8, 12), 1.0, np.float32))
-    np.testing.assert_array_equal(frame.mask, ids[1::2, 1::2])
+    np.testing.assert_array_equal(frame.mask, halved(ids))
+    np.testing.assert_array_equal(frame.native_mask, ids)
     np.testing.assert_array_equal(frame.sensor_depth, native.depth)
 
 
-def test_a_scale_resamples_the_true_mask_like_the_given_one(
+def test_the_true_mask_stays_at_its_own_size(
     make_replica: Maker, sample: SimpleNamespace, tmp_path: Path
 ) -> None:
     scene = make_replica(1)
@@ -146,8 +153,8 @@ def test_a_scale_resamples_the_true_mask_like_the_given_one(
     with FrameReader(open_sequence(scene, tmp_path / "mine"), [0], scale=0.5) as reader:
         (frame,) = reader
     assert isinstance(frame, Frame)
-    np.testing.assert_array_equal(frame.mask, ids[1::2, 1::2] + 1)
-    np.testing.assert_array_equal(frame.true_mask, ids[1::2, 1::2])
+    np.testing.assert_array_equal(frame.mask, halved(ids) + 1)
+    np.testing.assert_array_equal(frame.true_mask, ids)
 
 
 @pytest.mark.parametrize("scale", [0.0, -1.0, 1.5, float("nan")])

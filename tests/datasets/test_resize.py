@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ggwarp.datasets.resize import reduce_depth, resize_nearest
+from ggwarp.datasets.resize import reduce_depth, resize_labels, resize_nearest
 
 
 def reduce_by_definition(depth: np.ndarray, width: int, height: int) -> np.ndarray:
@@ -76,3 +76,38 @@ def test_labels_are_those_of_the_nearest_pixel(size: tuple[int, int]) -> None:
         for v in range(height)
     ]
     np.testing.assert_array_equal(got, want)
+
+
+@pytest.mark.parametrize(("size", "target"), [((24, 36), (6, 9)), ((24, 36), (12, 18)), ((25, 38), (6, 9))])
+def test_what_fills_most_of_a_footprint_is_its_label(size: tuple[int, int], target: tuple[int, int]) -> None:
+    rng = np.random.default_rng(5)
+    labels = np.kron(rng.integers(0, 5, (5, 4)), np.ones((5, 10), int))[: size[0], : size[1]].astype(np.int32)
+    small = resize_labels(labels, target[1], target[0])
+    fy, fx = size[0] / target[0], size[1] / target[1]
+    for y in range(target[0]):
+        for x in range(target[1]):
+            rows = ((y + (np.arange(40) + 0.5) / 40) * fy).astype(int)
+            columns = ((x + (np.arange(40) + 0.5) / 40) * fx).astype(int)
+            counts = np.bincount(labels[rows[:, None], columns].ravel(), minlength=5)
+            assert counts[small[y, x]] >= counts.max() - 0.25 * counts.sum()
+
+
+@pytest.mark.parametrize("factor", [2, 3, 4])
+def test_no_border_moves_when_labels_shrink(factor: int) -> None:
+    """The nearest pixel of an even footprint lies half a pixel off its middle, always to the same side."""
+    moved = {resize_labels: [], resize_nearest: []}
+    for column in range(40, 80):
+        labels = np.zeros((60, 120), np.int32)
+        labels[:, column:] = 1
+        for resize, offsets in moved.items():
+            small = resize(labels, 120 // factor, 60 // factor)
+            offsets.append((1.0 - small.mean()) * 120 - column)
+    assert abs(np.mean(moved[resize_labels])) < 0.05
+    if factor % 2 == 0:
+        assert abs(np.mean(moved[resize_nearest])) > 0.4
+
+
+def test_labels_that_grow_are_the_nearest() -> None:
+    labels = np.arange(6, dtype=np.int32).reshape(2, 3)
+    np.testing.assert_array_equal(resize_labels(labels, 6, 4), np.kron(labels, np.ones((2, 2), int)))
+    assert resize_labels(labels, 3, 2) is labels

@@ -161,3 +161,18 @@ def test_against_pixel_by_pixel_counting(rng):
         assert (row.pixels, row.rendered_pixels) == ((true == row.id).sum(), (rendered == row.id).sum())
     assert [row.id for row in score.table()] == [5, 70_000, 2**31 - 1]
     assert score.figures().pixel_accuracy == np.mean(true == rendered)
+
+
+@pytest.mark.parametrize("factor", [2, 3])
+def test_masks_are_measured_at_their_own_resolution(factor: int) -> None:
+    """Each of a mask's pixels is held against the rendered one that it falls into."""
+    rendered = np.array([[1, 1, 2, 2], [1, 1, 2, 2]], np.int32)
+    true = np.kron(rendered, np.ones((factor, factor), np.int32)).astype(np.int32)
+    true[:, 2 * factor] = 1  # the border lies one of the mask's pixels further on
+    score = ObjectScore()
+    score.add(rendered, true)
+    ones, twos = 2 * factor, 2 * factor - 1
+    assert score.figures().miou == pytest.approx(0.5 * (ones / (ones + 1) + twos / (twos + 1)))
+    small = ObjectScore()
+    small.add(true, rendered)
+    assert small.figures().miou is not None and small.table()[0].pixels == 4
