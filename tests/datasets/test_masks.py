@@ -7,7 +7,6 @@ from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
-import cv2
 import numpy as np
 import pytest
 
@@ -162,37 +161,6 @@ def test_masks_of_another_size_are_resampled_with_one_warning(
     assert len(caplog.records) == 1 and "12x8, but the colour image is 24x16" in caplog.text
 
 
-@pytest.mark.parametrize(
-    ("shape", "says"),
-    [
-        ((24, 16), "16x24, of another shape than the 24x16 images, turned by a quarter"),
-        ((16, 16), "16x16, of another"),
-    ],
-)
-def test_masks_of_another_shape_are_refused(
-    make_folder: Maker, sample: SimpleNamespace, shape: tuple[int, int], says: str, tmp_path: Path
-) -> None:
-    folder = make_folder(2)
-    for i in range(2):
-        sample.save(tmp_path / f"mine/{i}.png", np.ones(shape, np.uint8))
-    for masks in (tmp_path / "mine", None):
-        with pytest.raises(DatasetError, match=says):
-            open_dataset(str(folder), data_root=folder, masks=masks)
-        (tmp_path / "mine").rename(folder / "object_mask") if masks else None
-
-
-def test_one_mask_of_another_shape_costs_that_mask(
-    make_folder: Maker, sample: SimpleNamespace, caplog: pytest.LogCaptureFixture
-) -> None:
-    folder = make_folder(2)
-    for i, shape in enumerate([(16, 24), (24, 16)]):
-        sample.save(folder / f"object_mask/{i}.png", np.ones(shape, np.uint8))
-    dataset = open_dataset(str(folder), data_root=folder)
-    assert dataset[0].mask is not None and dataset[1].mask is None and dataset[1].mask is None
-    (record,) = caplog.records
-    assert "1.png: is 16x24, of another shape" in record.getMessage()
-
-
 @pytest.mark.parametrize("name", ["{i:05d}", "mask_{i:02d}_v2", "{i}"])
 def test_masks_are_found_by_number(make_replica: Maker, sample: SimpleNamespace, name: str) -> None:
     scene = make_replica(4)
@@ -218,53 +186,9 @@ def test_masks_a_folder_deeper_are_found_unless_several_are(
         open_dataset(str(folder), data_root=folder, masks=tmp_path / "deva")
 
 
-def test_jpeg_masks_are_refused_with_the_reason(
-    make_folder: Maker, sample: SimpleNamespace, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    folder = make_folder(2)
-    for i in range(2):
-        sample.save(tmp_path / f"mine/{i}.jpg", np.ones((16, 24), np.uint8))
-    with pytest.raises(DatasetError, match=r"\(2 \.jpg\).*JPEG changes ids"):
-        open_dataset(str(folder), data_root=folder, masks=tmp_path / "mine")
-    (tmp_path / "mine").rename(folder / "object_mask")
-    assert not open_dataset(str(folder), data_root=folder).has_masks
-    assert "object_mask: holds 2 .jpg, but no PNG with the name or number of an image" in caplog.text
-
-
 def test_grey_saved_as_three_channels_is_the_grey(tmp_path: Path, sample: SimpleNamespace) -> None:
     path = sample.save(tmp_path / "m.png", np.repeat(IDS[..., None], 3, axis=2).astype(np.uint8))
     np.testing.assert_array_equal(read_mask(path), IDS)
-
-
-def blocks(width: int, height: int) -> np.ndarray:
-    """Return a mask of 3 x 2 blocks of ids 10, 20, ... 60."""
-    return np.kron(np.arange(10, 70, 10).reshape(2, 3), np.ones((height // 2, width // 3), int)).astype(
-        np.uint8
-    )
-
-
-def test_ids_along_edges_of_interpolated_masks_are_none(
-    make_folder: Maker, sample: SimpleNamespace, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    folder, small = make_folder(3), blocks(12, 8)
-    for i in range(3):
-        image = cv2.resize(small, (24, 16), interpolation=cv2.INTER_CUBIC)
-        assert len(np.unique(image)) > 20
-        sample.save(tmp_path / f"mine/{i}.png", image)
-    mask = open_dataset(str(folder), data_root=folder, masks=tmp_path / "mine")[0].mask
-    assert mask is not None and set(np.unique(mask)) == {-1, 10, 20, 30, 40, 50, 60}
-    assert (mask[2:5, 2:6] == 10).all() and "ids have no pixel inside them" in caplog.text
-
-
-def test_thin_objects_alone_are_no_interpolation(
-    make_folder: Maker, sample: SimpleNamespace, caplog: pytest.LogCaptureFixture
-) -> None:
-    folder, ids = make_folder(1), blocks(24, 16)
-    ids[3, :], ids[:, 5] = 99, 98
-    sample.save(folder / "object_mask/0.png", ids)
-    mask = open_dataset(str(folder), data_root=folder)[0].mask
-    np.testing.assert_array_equal(mask, ids)
-    assert not caplog.records
 
 
 def test_void_ids_say_nothing(tmp_path: Path) -> None:
@@ -272,42 +196,6 @@ def test_void_ids_say_nothing(tmp_path: Path) -> None:
     masks = find_masks(tmp_path, ["0"], tmp_path, void=(255, 9))
     assert masks is not None
     np.testing.assert_array_equal(masks.read(0), [[0, 7, -1], [-1, 7, -1]])
-
-
-def test_pictures_in_the_place_of_masks_are_refused(make_folder: Maker, sample: SimpleNamespace) -> None:
-    folder = make_folder(1)
-    ids = np.arange(80 * 120).reshape(80, 120)
-    bgr = np.stack([ids >> 16, (ids >> 8) & 255, ids & 255], axis=-1).astype(np.uint8)
-    sample.save(folder / "object_mask/0.png", bgr)
-    with pytest.raises(DatasetError, match=r"holds 9600 ids, more than 480: is it a .*--masks none"):
-        open_dataset(str(folder), data_root=folder)
-
-
-@pytest.mark.parametrize("step", [1, 3])
-def test_a_picture_in_a_masks_place_is_left_aside_with_one_warning(
-    make_folder: Maker, sample: SimpleNamespace, caplog: pytest.LogCaptureFixture, step: int
-) -> None:
-    """As many ids as pixels, or one per three of them; at most 256 are always taken."""
-    folder = make_folder(3)
-    ids = (np.arange(80 * 120) // step).reshape(80, 120)
-    for i in range(2):
-        bgr = np.stack([ids >> 16, (ids >> 8) & 255, ids & 255], axis=-1).astype(np.uint8)
-        sample.save(folder / f"object_mask/{i}.png", bgr)
-    sample.save(folder / "object_mask/2.png", (ids[:16, :24] % 256).astype(np.uint8))
-    dataset = open_dataset(str(folder), data_root=folder)
-    masks = [dataset[i].mask for i in range(3)]
-    assert masks[0] is None and masks[1] is None and masks[2] is not None
-    (record,) = caplog.records
-    assert f"holds {len(np.unique(ids))} ids, more than 480: is it a picture of ids?" in record.getMessage()
-
-
-def test_large_ids_are_not_many_ids(make_folder: Maker, sample: SimpleNamespace) -> None:
-    folder = make_folder(1)
-    bgr = np.full((16, 24, 3), 255, np.uint8)
-    bgr[:, :12], bgr[:, 18:, 2] = 0, 254
-    sample.save(folder / "object_mask/0.png", bgr)
-    mask = open_dataset(str(folder), data_root=folder)[0].mask
-    assert mask is not None and set(np.unique(mask)) == {0, (1 << 24) - 2, (1 << 24) - 1}
 
 
 def test_an_unreadable_mask_costs_the_mask_not_the_frame(
