@@ -35,6 +35,7 @@ _ESSENTIAL = {
 
 _EXTRAS = {
     "lpips": ("lpips", "LPIPS in the results"),
+    "ros": ("rosbags", "ROS bags and MCAP files"),
     "segment": ("torchvision", "ggwarp segment with Mask R-CNN"),
     "benchmark": ("small_gicp", "ggwarp compare-tracking"),
     "test": ("pytest", "the tests"),

@@ -45,6 +45,7 @@ APARTMENTS = ("apartment", "apartment-person", "apartment-kinect", "apartment-ki
 BUILT_IN = ("office", "synthetic", "wall", *APARTMENTS)
 """Names that always mean a built-in scene: the wall, the apartment, or the office."""
 OWN_KINDS = (
+    "readers.bag",
     "readers.stray",
     "readers.record3d",
     "readers.polycam",
