@@ -7,6 +7,7 @@ import contextlib
 import sys
 import traceback
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 from ggwarp.config import RunConfig
 from ggwarp.datasets import BUILT_IN, Dataset, DatasetError
@@ -30,6 +31,13 @@ def introduction(asked: RunConfig, config: RunConfig, dataset: Dataset, frames: 
         yield ("no depth: tracking by colour alone, no scale, objects are not learnt")
     elif asked.slam.use_identity and not dataset.has_masks:
         yield ("no object masks (--masks DIR gives some): objects are not learnt")
+
+
+def left_by_a_killed_run(left: Path, kept: Path | None) -> str:
+    """Return what became of the folder that a killed run left; ``kept``: where it is now, None: nowhere."""
+    if kept is None:
+        return f"removed {left}, which a run that was killed had left"
+    return f"a run that was killed had left {left}; it is now {kept}: ggwarp run --resume {kept} goes on"
 
 
 def status(step: StepReport, fps: float) -> str:

@@ -3,11 +3,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
+
 from ggwarp.config import ConfigError, RunConfig
 from ggwarp.console import Display
+from ggwarp.datasets import FrameReader
 from ggwarp.pipeline.scheduler import LiveScheduler, Scheduler, UncappedScheduler
 from ggwarp.pipeline.slam import Slam
 from ggwarp.runtime import loading
+from ggwarp.runtime.image_store import ImageStore
 
 
 def load_kernels(device: str, display: Display) -> None:
@@ -18,7 +23,25 @@ def load_kernels(device: str, display: Display) -> None:
     loading.load(modules, device)
 
 
-def scheduler_of(config: RunConfig, frames: int) -> Scheduler | None:
+def build_system(config: RunConfig, reader: FrameReader, budget: int, folder: Callable[[], Path]) -> Slam:
+    """Return the system of a run, before its first frame.
+
+    Args:
+        reader: of the frames that it is to process.
+        budget: bytes for the images of keyframes.
+        folder: tells where those go that are beyond it.
+    """
+    return Slam(
+        config.slam,
+        reader.camera,
+        reader.sensor_camera,
+        device=config.device,
+        scheduler=_scheduler(config, len(reader)),
+        images=ImageStore(device=config.device, budget=budget, folder=folder),
+    )
+
+
+def _scheduler(config: RunConfig, frames: int) -> Scheduler | None:
     """Return what paces a run of so many ``frames``; None: a fixed amount of mapping a frame."""
     if config.fps is None:
         return None

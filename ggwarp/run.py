@@ -51,7 +51,15 @@ def _main(arguments: list[str], interruption: Interruption, started: float) -> i
             raise KeyboardInterrupt
         command = parse(arguments)
         display = open_display(command.verbosity)
-        return Session(command.run, display, interruption, started=started).run()
+        session = Session(
+            command.run,
+            display,
+            interruption,
+            started=started,
+            interval=command.interval,
+            resumed=command.resumed,
+        )
+        return session.run()
     except (ConfigError, DatasetError) as error:
         return _refuse(display, str(error))
     except MemoryError:

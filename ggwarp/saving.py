@@ -14,9 +14,12 @@ from typing import Any
 from ggwarp import messages
 from ggwarp.console import Display
 from ggwarp.results import run_folder
+from ggwarp.results.checkpoints import FOLDER
 from ggwarp.results.metrics import metrics_of
 from ggwarp.results.record import RunRecord
+from ggwarp.results.renders import RenderWriter
 from ggwarp.results.staging import StagedFolder
+from ggwarp.types import Float32, Rendered
 
 _NEEDED = {"saving the trajectory", "saving the map"}
 """Without these there is nothing to keep."""
@@ -121,7 +124,9 @@ class Saver:
         self._folder = kept or first
         if kept is not None:
             self.moved, self._missing = True, set()
-            first.discard()
+            with contextlib.suppress(OSError):
+                shutil.copytree(first.path / FOLDER, kept.path / FOLDER)
+            first.discard(whole=True)
         return self.moved
 
     def _save_in(self, slam: run_folder.System, folder: StagedFolder, *, instead_of: StagedFolder) -> bool:
@@ -194,6 +199,27 @@ class Saver:
         wall_s = time.perf_counter() - self._started
         self.metrics = metrics_of(self._record, wall_s=wall_s, gaussians=self._gaussians)
         run_folder.write_metrics(self._folder.path, self.metrics)
+
+
+class ViewSaver:
+    """Writes the views of some frames as pictures; where that fails it is said, and no more are written."""
+
+    def __init__(self, saver: Saver, indices: set[int], identities: Callable[[], Float32 | None]) -> None:
+        """``indices``: of the frames; ``identities``: gives the map's, [n, 16], for the features' basis."""
+        self._saver, self._indices, self._identities = saver, indices, identities
+        self._writer: RenderWriter | None = None
+
+    def save(self, index: int, view: Rendered) -> None:
+        """Write the view of frame ``index``, if it is one of them."""
+        if index in self._indices and not self._saver.attempt(
+            "saving renders", lambda: self._write(index, view)
+        ):
+            self._indices = set()
+
+    def _write(self, index: int, view: Rendered) -> None:
+        if self._writer is None:
+            self._writer = RenderWriter(self._saver.folder / "renders", self._identities())
+        self._writer.write(index, view)
 
 
 def _other_places() -> Iterator[Path]:

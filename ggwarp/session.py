@@ -12,7 +12,8 @@ from pathlib import Path
 
 import ggwarp
 from ggwarp import messages
-from ggwarp.config import RunConfig, frame_indices, resolve_config
+from ggwarp.checkpointing import Checkpoints, go_on, staged_folder
+from ggwarp.config import CheckpointInterval, ResumedRun, RunConfig, frame_indices, resolve_config
 from ggwarp.console import Display
 from ggwarp.datasets import (
     BadFrame,
@@ -29,17 +30,14 @@ from ggwarp.evaluation.image import open_lpips
 from ggwarp.interruption import Interruption
 from ggwarp.io.camera import write_camera
 from ggwarp.io.toml import write_toml
-from ggwarp.pipeline.runner import SideError, run_steps
-from ggwarp.pipeline.slam import Slam
-from ggwarp.preparation import load_kernels, scheduler_of, works_concurrently
+from ggwarp.pipeline.runner import SideError, Snapshot, run_steps
+from ggwarp.preparation import build_system, load_kernels, works_concurrently
 from ggwarp.results.metrics import RESULTS
 from ggwarp.results.record import RunRecord
-from ggwarp.results.renders import RenderWriter
 from ggwarp.results.staging import StagedFolder
 from ggwarp.runtime import loading
-from ggwarp.runtime.image_store import ImageStore
 from ggwarp.runtime.memory import image_budget
-from ggwarp.saving import Saver
+from ggwarp.saving import Saver, ViewSaver
 from ggwarp.types import Frame, Rendered, StepReport, Verdict
 
 DONE, FAILED = 0, 1
@@ -62,6 +60,8 @@ class Session:
         interruption: Interruption | None = None,
         *,
         started: float | None = None,
+        interval: CheckpointInterval | None = None,
+        resumed: ResumedRun | None = None,
     ) -> None:
         """Make a session that has done nothing yet.
 
@@ -69,12 +69,15 @@ class Session:
             config: checked, see :func:`ggwarp.config.check`.
             interruption: tells of signals; None: they are the caller's.
             started: time.perf_counter() at the command's start; None: now.
+            interval: how often a checkpoint is written; None: never.
+            resumed: the run to go on with, whose ``config`` is like it; None: a new one.
         """
         self.config = config
         self.folder: StagedFolder | None = None
         self._display = display
         self._interruption = interruption or Interruption()
         self._started = time.perf_counter() if started is None else started
+        self._interval, self._resumed = interval or CheckpointInterval(), resumed
 
     def run(self) -> int:
         """Run it and return the exit code: 0, 1 (failed on the way), or that of the signal.
@@ -91,7 +94,8 @@ class Session:
         except BaseException as error:
             if self.folder is not None:
                 self.folder.name_target(error)
-                self.folder.discard()
+                if (kept := self.folder.discard()) is not None:
+                    self._display.warn(f"kept in {kept}; ggwarp run --resume {kept} goes on")
             raise
         with contextlib.suppress(KeyboardInterrupt):  # the run is saved
             self.evaluate()
@@ -117,7 +121,7 @@ class Session:
         self._dataset = WithoutDepth(dataset) if config.slam.mono else dataset
         self._indices = frame_indices(config.frames, len(dataset))
         self._name = seq if dataset.kind == "synthetic" else dataset.name
-        self.folder = StagedFolder(config.out, self._name)
+        self.folder = staged_folder(config, self._resumed, self._name)
         plan = plan_sequence(self._dataset, self._indices)
         self._plan = plan.to_json()
         for line in (*plan.lines(), *messages.introduction(asked, config, dataset, len(self._indices))):
@@ -136,35 +140,27 @@ class Session:
         self._kept = KeptFrames(
             dataset, scale=config.scale or 1.0, budget=budget, stopped=lambda: self._stopped
         )
-        self._slam = Slam(
-            config.slam,
-            self._reader.camera,
-            self._reader.sensor_camera,
-            device=config.device,
-            scheduler=scheduler_of(config, len(self._indices)),
-            images=ImageStore(
-                device=config.device, budget=budget - self._kept.room, folder=lambda: folder.path
-            ),
-        )
+        self._frames = self._reader if self._resumed is None else self._reader.after(self._resumed.done)
+        self._slam = build_system(config, self._frames, budget - self._kept.room, folder.nearest)
         self._concurrent = works_concurrently(config, self._slam)
-        for left in folder.create():  # nothing is refused any more
-            self._display.note(f"removed {left}, which a run that was killed had left")
-        self._begin(folder.path)
-        load_kernels(config.device, self._display)
         # The objects of untracked masks are numbered by the map.
         names = getattr(dataset, "class_names", {}) if config.slam.masks_kind == "tracked" else {}
         self.record = RunRecord(
             self._name, dataset.kind, config.device, class_names=names, monocular=config.slam.mono
         )
         self.record.plan = self._plan
-        self._saver = Saver(
-            self.record,
-            folder,
-            self._display,
-            self._started,
-            begin=self._begin,
-            stopped=lambda: self._stopped,
+        if self._resumed is not None:
+            self.config = go_on(self._resumed, config, self._slam, self.record, self._reader, self._display)
+            self._started -= self._resumed.wall_s
+        for left, kept in folder.create().items():  # nothing is refused any more
+            self._display.note(messages.left_by_a_killed_run(left, kept))
+        self._begin(folder.path)
+        load_kernels(config.device, self._display)
+        self._checkpoints = Checkpoints(
+            self._interval, self.config, folder, self._reader, self.record, self._display, self._started
         )
+        display, started, stopped = self._display, self._started, lambda: self._stopped
+        self._saver = Saver(self.record, folder, display, started, begin=self._begin, stopped=stopped)
 
     def track_and_map(self) -> None:
         """Process the frames; a failure of either side ends the loop and is kept in the record.
@@ -173,24 +169,31 @@ class Session:
             DatasetError: no frame could be used.
             KeyboardInterrupt: it was interrupted before the first one.
         """
-        reader, record = self._reader, self.record
+        reader, record = self._frames, self.record
         self._interruption.at_once = False
         self._display.stage("frames", len(reader))
-        started = time.perf_counter()
+        self._loop_started = time.perf_counter() - record.loop_s
         try:
             with reader:
                 steps = run_steps(
-                    self._slam, reader, concurrent=self._concurrent, stopped=lambda: self._stopped
+                    self._slam,
+                    reader,
+                    concurrent=self._concurrent,
+                    stopped=lambda: self._stopped,
+                    snapshot_due=self._checkpoints.due if self._slam.has_state else lambda: False,
                 )
                 for item, step in steps:
+                    if isinstance(item, Snapshot):
+                        self._checkpoints.write(item)
+                        continue
                     if step is None:
                         self._skip(item)
                         continue
-                    self._take(item, step, started)
+                    self._take(item, step)
                     self._kept.keep(item)  # for the evaluation
         except SideError as error:
             record.failure = error
-        record.loop_s = time.perf_counter() - started
+        record.loop_s = time.perf_counter() - self._loop_started
         record.counts = dict(self._slam.counts)
         if late := messages.lateness(record.reports):
             self._display.warn(late)
@@ -206,9 +209,9 @@ class Session:
         Not after an interrupted or failed run. A failure is kept in the record.
         """
         iterations, record = self.config.refine, self.record
-        if iterations and self._slam.can_refine and not self._ended:
-            self._display.stage("refining", iterations)
-            started = time.perf_counter()
+        if record.refine_iterations < iterations and self._slam.can_refine and not self._ended:
+            self._display.stage("refining", iterations - record.refine_iterations)
+            started = time.perf_counter() - record.refine_s
             while record.refine_iterations < iterations and not self._stopped:
                 try:
                     self._slam.refine()
@@ -217,14 +220,17 @@ class Session:
                     record.failure.__cause__ = error
                     break
                 record.refine_iterations += 1
+                record.refine_s = time.perf_counter() - started
                 self._display.advance()
-            record.refine_s = time.perf_counter() - started
+                if self._slam.has_state and self._checkpoints.due():
+                    self._checkpoints.finish(self._slam)
             if self._interruption.number == signal.SIGINT:
                 self._interruption.forget()
                 done = f"{record.refine_iterations} of {iterations} iterations"
                 self._display.note(f"refinement ended after {done}")
         if record.failure is not None:  # said first: what follows may fail for the same reason
             self._saver.failed(str(record.failure), record.failure.__cause__ or record.failure)
+        self._checkpoints.finish(self._slam)
         record.correct(self._slam.fitted_poses())
 
     def save(self) -> None:
@@ -276,21 +282,11 @@ class Session:
     def _compare(self) -> None:
         record, every = self.record, self.config.save_renders
         saved = {r.index for r in record.reports[::every]} if every else set()
-        writer: RenderWriter | None = None
-        folder = self._saver.folder
+        views = ViewSaver(self._saver, saved, lambda: self._slam.map_arrays().identities)
 
         def on_view(frame: Frame, view: Rendered, score: FrameScore) -> None:
             self._display.advance()
-            if frame.index in saved and not self._saver.attempt(
-                "saving renders", lambda: write(frame.index, view)
-            ):
-                saved.clear()
-
-        def write(index: int, view: Rendered) -> None:
-            nonlocal writer
-            if writer is None:
-                writer = RenderWriter(folder / "renders", self._slam.map_arrays().identities)
-            writer.write(index, view)
+            views.save(frame.index, view)
 
         evaluation = compare(
             itertools.takewhile(lambda _: not self._stopped, self._kept.again(record.poses())),
@@ -312,7 +308,7 @@ class Session:
     def _ended(self) -> bool:
         return self._stopped or bool(self.record.failures) or self.record.failure is not None
 
-    def _take(self, frame: Frame, step: StepReport, started: float) -> None:
+    def _take(self, frame: Frame, step: StepReport) -> None:
         """Add a processed frame to the record, and show it."""
         reports = self.record.reports
         reports.append(step)
@@ -320,7 +316,9 @@ class Session:
             self.record.truth[frame.index] = frame.T_wc
         if step.verdict is Verdict.LOST:
             self._display.warn(f"frame {frame.index} lost: {step.reason}")
-        self._display.advance(messages.status(step, len(reports) / (time.perf_counter() - started)))
+        # Before the status: a checkpoint has it, too.
+        self.record.loop_s = time.perf_counter() - self._loop_started
+        self._display.advance(messages.status(step, len(reports) / self.record.loop_s))
 
     def _skip(self, frame: BadFrame) -> None:
         self.record.skipped[frame.index] = frame.reason

@@ -13,8 +13,10 @@ from typing import Annotated
 
 import tyro
 
+from ggwarp.config.checkpoint_interval import CheckpointInterval, checkpoint_interval
 from ggwarp.config.options import GROUPS, Option, option_table
 from ggwarp.config.presets import load_config, preset_config
+from ggwarp.config.resumed_run import ResumedRun, check_changes, open_resumed
 from ggwarp.config.run_config import ConfigError, RunConfig, check
 from ggwarp.console import Verbosity
 from ggwarp.pipeline.tracking.tracker import TrackerError
@@ -42,10 +44,21 @@ class Command:
     run: Annotated[RunConfig, tyro.conf.arg(name="")]
     config: Path | None = None
     """A saved config.toml to start from, instead of a preset."""
+    resume: Path | None = None
+    """A run to go on with, by its folder: it may be done, stopped or killed. It keeps its options."""
+    checkpoint_every: str = "60s"
+    """Write a checkpoint every so many frames, such as 100, or seconds, such as 60s. The word off means
+    never."""
+    resumed: Annotated[ResumedRun | None, tyro.conf.Suppress, tyro.conf.Fixed] = None
     verbose: Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(aliases=["-v"])] = False
     """Say more: a line for every frame, and what the library logs in detail."""
     quiet: Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(aliases=["-q"])] = False
     """Say less: only warnings and the closing lines."""
+
+    @property
+    def interval(self) -> CheckpointInterval:
+        """How often a checkpoint is written."""
+        return checkpoint_interval(self.checkpoint_every)
 
     @property
     def verbosity(self) -> Verbosity:
@@ -53,7 +66,9 @@ class Command:
 
 
 def parse(arguments: list[str]) -> Command:
-    """Return what the command line asks for; options override the file given by ``--config``, or the preset.
+    """Return what the command line asks for.
+
+    Options override those of that run, of the file given by ``--config``, or of the preset.
 
     Raises:
         ConfigError: an option cannot be used.
@@ -66,17 +81,30 @@ def parse(arguments: list[str]) -> Command:
     first = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     first.add_argument("--config", type=Path)
     first.add_argument("--preset")
+    first.add_argument("--resume", type=Path)
     try:
         start, _ = first.parse_known_args(arguments)
     except argparse.ArgumentError:
-        start = argparse.Namespace(config=None, preset=None)  # tyro says what is wrong
+        start = argparse.Namespace(config=None, preset=None, resume=None)  # tyro says what is wrong
     if start.config is not None and start.preset is not None:
         raise ConfigError("--config and --preset: give one of them; a saved configuration has its preset")
-    base = load_config(start.config) if start.config is not None else preset_config(start.preset or "gg-slam")
-    command = _parsed(["--help"] if everything else arguments, Command(base, start.config))
+    if start.resume is not None and (start.config is not None or start.preset is not None):
+        raise ConfigError("--resume: a run keeps what it began with; leave --config and --preset out")
+    resumed = None if start.resume is None or everything else open_resumed(start.resume)
+    if resumed is not None:
+        base = resumed.config
+    elif start.config is not None:
+        base = load_config(start.config)
+    else:
+        base = preset_config(start.preset or "gg-slam")
+    default = Command(base, start.config, start.resume, resumed=resumed)
+    command = _parsed(["--help"] if everything else arguments, default)
     if command.quiet and command.verbose:
         raise ConfigError("-q and -v: give one of them")
+    if resumed is not None:
+        check_changes(resumed.config, command.run)
     check(command.run)
+    _ = command.interval
     return command
 
 

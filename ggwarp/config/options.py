@@ -18,11 +18,9 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "The recording": ("seq", "data", "frames", "masks", "masks-kind", "mono", "intrinsics"),
     "The method": ("config", "preset", "tracker", "policy", "use-identity", "refine"),
     "The machine and the pace": ("device", "scale", "fps", "pipelined", "memory"),
-    "The results": ("out", "save-renders"),
+    "The results": ("out", "save-renders", "checkpoint-every", "resume"),
 }
 """The options that are not of one part of the system, by what they are about."""
-
-_CONFIG_HELP = "A saved config.toml to start from, instead of a preset."
 
 
 @dataclass(frozen=True)
@@ -47,11 +45,26 @@ class Option:
 def option_table() -> list[Option]:
     """Return every option but ``-h``, ``-v``, ``-q`` and their like, group by group."""
     groups = list(GROUPS)
-    found = [*_options(RunConfig(), ""), Option("--config", "", _CONFIG_HELP, "The method")]
+    found = [*run_options(), *_command_options()]
     for option in found:
         if option.group not in groups:
             groups.append(option.group)
     return sorted(found, key=lambda o: (groups.index(o.group), _rank(o)))
+
+
+def run_options() -> list[Option]:
+    """Return the options that decide a run's results, in the order of their fields."""
+    return _options(RunConfig(), "")
+
+
+def _command_options() -> list[Option]:
+    """Return what the command takes beside them: where a run starts from, and how it is kept."""
+    from ggwarp.config.command_line import Command
+
+    texts = _field_texts(Command)
+    own = [f for f in dataclasses.fields(Command) if f.name not in ("run", "resumed", "verbose", "quiet")]
+    named = [(f.name.replace("_", "-"), f) for f in own]
+    return [Option(f"--{name}", _shown(f.default), texts[f.name], _group(name)) for name, f in named]
 
 
 def _rank(option: Option) -> int:

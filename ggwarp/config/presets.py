@@ -6,6 +6,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from ggwarp.config.run_config import ConfigError, RunConfig
 from ggwarp.io.toml import TomlError, merged, read_toml
@@ -79,9 +80,19 @@ def load_config(path: Path) -> RunConfig:
         ConfigError: the file is missing or not TOML, or a key is unknown or of the wrong type.
     """
     try:
-        values = read_toml(path)
-        return merged(preset_config(str(values.get("preset", "gg-slam"))), values, where=str(path))
+        return config_of(read_toml(path), str(path))
     except TomlError as error:
         raise ConfigError(f"--config {error}") from None
     except TrackerError as error:
         raise ConfigError(f"--config {path}: tracker: {error}") from None
+
+
+def config_of(values: dict[str, Any], where: str) -> RunConfig:
+    """Return the configuration with ``values``, the others as their preset has them.
+
+    Raises:
+        ConfigError: there is no such preset.
+        TomlError: a key is unknown or of the wrong type; ``where`` begins the message.
+        TrackerError: there is no such tracker.
+    """
+    return merged(preset_config(str(values.get("preset", "gg-slam"))), values, where=where)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import copy
 import queue
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -79,14 +80,29 @@ class FrameReader:
         self._dataset = at_scale(dataset, min(1.0, 2.0 * scale))
         self.sensor_camera = self._dataset.camera
         """The camera of ``sensor_depth``: native size, or twice the frames' where they are rendered."""
-        self._indices = list(indices)
+        self.indices = list(indices)
+        """The frames to read, in this order."""
         self._ahead = ahead
         self._stopped = stopped
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
 
     def __len__(self) -> int:
-        return len(self._indices)
+        return len(self.indices)
+
+    def after(self, count: int) -> FrameReader:
+        """Return a reader of the frames after the first ``count``."""
+        rest = copy.copy(self)
+        rest.indices, rest._stop, rest._thread = self.indices[count:], threading.Event(), None
+        return rest
+
+    def read(self, index: int) -> Frame:
+        """Return frame ``index`` of the sequence as iteration hands it out, at once.
+
+        Raises:
+            FrameError: it cannot be used.
+        """
+        return resized(self._dataset[index], self.camera)
 
     def __enter__(self) -> FrameReader:
         return self
@@ -116,7 +132,7 @@ class FrameReader:
             target=self._read, args=(ready, self._stop), name="frame-reader", daemon=True
         )
         self._thread.start()
-        for _ in self._indices:
+        for _ in self.indices:
             while (item := _within(ready, _INTERVAL)) is None:
                 if self._stopped():
                     return
@@ -125,7 +141,7 @@ class FrameReader:
             yield item
 
     def _read(self, ready: queue.Queue[Frame | BadFrame | BaseException], stop: threading.Event) -> None:
-        for index in self._indices:
+        for index in self.indices:
             if stop.is_set():
                 return
             try:

@@ -42,7 +42,12 @@ def write_toml(config: Any, path: Path) -> None:
     """Write the dataclass ``config`` to ``path``; values that are None are left out."""
     with atomic_write(path) as file:
         # TOML has no word for a name that is not UTF-8: it gets question marks.
-        file.write(("\n".join(_lines(config, "")) + "\n").encode(errors="replace"))
+        file.write(toml_text(config).encode(errors="replace"))
+
+
+def toml_text(config: Any) -> str:
+    """Return the dataclass ``config`` as TOML; values that are None are left out."""
+    return "\n".join(_lines(config, "")) + "\n"
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -58,6 +63,15 @@ def read_toml(path: Path) -> dict[str, Any]:
         text = guarded.read_text(path, guarded.CONFIG)
     except guarded.FileError as error:
         raise TomlError(str(error)) from None
+    return parse_toml(text, name)
+
+
+def parse_toml(text: str, name: str) -> dict[str, Any]:
+    """Return the plain values of ``text``, which is called ``name``.
+
+    Raises:
+        TomlError: it is nested too deeply, or not TOML.
+    """
     if _DEEP_KEY.search(text):
         raise TomlError(f"{name}: a key has more than {_DEEPEST} parts; a section's key has two or three")
     try:

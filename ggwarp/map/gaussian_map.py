@@ -16,6 +16,7 @@ from ggwarp.kernels.math import vec16
 from ggwarp.kernels.optim.adam import AdamState, GaussianArrays
 from ggwarp.map.compaction import gathered, kept_indices
 from ggwarp.map.gaussians import Gaussians
+from ggwarp.runtime.state import FrameSource, State, Stateful, into_array
 from ggwarp.runtime.streams import to_host
 
 PARAMETERS: dict[str, Any] = {
@@ -31,7 +32,7 @@ PARAMETERS: dict[str, Any] = {
 _GROWTH = 1.5
 
 
-class GaussianMap:
+class GaussianMap(Stateful):
     """Gaussians and their Adam moments on one device.
 
     Attributes:
@@ -64,6 +65,21 @@ class GaussianMap:
         if has_identity:
             types |= {"first_identity": vec16, "second_identity": vec16, "votes": wp.int32}
         self.fields = {n: wp.zeros(capacity, dtype=t, device=self.device) for n, t in types.items()}
+
+    def state(self) -> State:
+        """Return the rows in use of every field."""
+        rows = {name: to_host(array)[: self.count].copy() for name, array in self.fields.items()}
+        return {"capacity": self.capacity, "count": self.count, "version": self.version, "rows": rows}
+
+    def restore(self, state: State, frames: FrameSource) -> None:
+        """Take over the rows; all fields are new arrays."""
+        self.count, self.version = state["count"], state["version"]
+        for name, old in self.fields.items():
+            new = wp.zeros(state["capacity"], dtype=old.dtype, device=self.device)
+            if self.count:
+                into_array(new[: self.count], state["rows"][name])
+            self.fields[name] = new
+        self.allocation += 1
 
     @property
     def capacity(self) -> int:

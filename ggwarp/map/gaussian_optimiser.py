@@ -16,6 +16,7 @@ from ggwarp.kernels.optim.adam import AdamRates, adam_gaussians, hold_rows
 from ggwarp.kernels.workspaces import allocate_loss
 from ggwarp.map.gaussian_map import GaussianMap
 from ggwarp.map.renderer import Renderer
+from ggwarp.runtime.state import Stateful
 
 _COLOUR_WEIGHT = 1.0
 """l_rgb of the loss (GG-SLAM eq. 5)."""
@@ -59,7 +60,7 @@ class UploadedView:
     has_depth: bool = True
 
 
-class GaussianOptimiser:
+class GaussianOptimiser(Stateful):
     """Fits Gaussians to one view at a time.
 
     :meth:`step` does all of it. Who has more to fit calls :meth:`compare` and :meth:`update` between passes
@@ -69,6 +70,8 @@ class GaussianOptimiser:
         losses: [LOSS_COUNT] of the last comparison, unweighted.
         loss_weights: entry of ``losses`` -> its weight in the total (GG-SLAM eq. 5).
     """
+
+    STATE = ("losses",)  # those that are not due in an iteration stay
 
     def __init__(
         self,

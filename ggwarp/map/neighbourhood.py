@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import warp as wp
@@ -11,12 +11,13 @@ import warp as wp
 from ggwarp.kernels.identity.random import draw_points
 from ggwarp.kernels.registration.hash_grid import allocate_hash_grid, build_hash_grid, find_k_nearest
 from ggwarp.map.gaussian_map import GaussianMap
+from ggwarp.runtime.state import FrameSource, State, Stateful
 from ggwarp.runtime.streams import to_host
 
 _SAMPLE = 10_000
 
 
-class Neighbourhood:
+class Neighbourhood(Stateful):
     """A search grid over a map's centres, rebuilt when Gaussians came or went.
 
     Centres move by millimetres at most between rebuilds: the neighbours are those of the last one.
@@ -40,6 +41,25 @@ class Neighbourhood:
         self._distances2 = wp.empty((samples, k), dtype=float, device=device)
         self.samples = wp.empty(samples, dtype=int, device=device)
         self.neighbours = wp.empty((samples, k), dtype=int, device=device)
+
+    def state(self) -> State:
+        """Return the draws so far, and the centres as they were when the grid was built."""
+        state: State = {"draws": self._draws, "version": self._version}
+        if self._grid is not None:
+            count, points = self._grid.count, to_host(self._grid.points)
+            centres = np.empty((count, 3), np.float32)
+            centres[to_host(self._grid.indices)[:count]] = points[:count]
+            state |= {"room": len(points), "cell_size": float(self._grid.cell_size), "centres": centres}
+        return state
+
+    def restore(self, state: State, frames: FrameSource) -> None:
+        """Build the same grid."""
+        self._draws, self._version = state["draws"], state["version"]
+        if "centres" in state:
+            device, vec3 = self._map.device, cast(Any, wp.vec3)
+            self._grid = allocate_hash_grid(state["room"], device=device)
+            means = wp.array(state["centres"], dtype=vec3, device=device)
+            build_hash_grid(self._grid, means, cell_size=state["cell_size"], device=device)
 
     def sample(self) -> None:
         """Fill ``samples`` with random Gaussians and ``neighbours`` with their nearest."""

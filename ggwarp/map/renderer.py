@@ -21,6 +21,7 @@ from ggwarp.kernels.raster.tiles import TILE, TileCapacityError, bin_splats
 from ggwarp.kernels.raster.tiles_parallel import PEAK
 from ggwarp.kernels.workspaces import allocate_slot_gradients, allocate_splats, allocate_tiles
 from ggwarp.map.gaussian_map import PARAMETERS, GaussianMap
+from ggwarp.runtime.state import FrameSource, State, Stateful
 from ggwarp.runtime.streams import to_host
 from ggwarp.types import Float32, Float64, Rendered
 
@@ -33,7 +34,7 @@ def padded(size: int) -> int:
     return -(-size // int(TILE)) * int(TILE)
 
 
-class Renderer:
+class Renderer(Stateful):
     """Renders one map for one camera.
 
     Attributes:
@@ -81,6 +82,16 @@ class Renderer:
         self._capacity = 0
         self.allocation = 0
         self._reserve()
+
+    def state(self) -> State:
+        """Return the room for tile slots: on CUDA a view that lacks some leaves splats out."""
+        return {"slots": self.tiles.capacity}
+
+    def restore(self, state: State, frames: FrameSource) -> None:
+        """Make the same room; the map has its own already."""
+        self._reserve()
+        if state["slots"] > self.tiles.capacity:
+            self._allocate_tiles(state["slots"])
 
     @property
     def rows(self) -> int:

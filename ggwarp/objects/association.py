@@ -20,6 +20,7 @@ from ggwarp.objects.class_table import IGNORED, NO_OBJECT, ClassTable
 from ggwarp.objects.labels import Labels, contingency, ranked
 from ggwarp.objects.mask_view import MapKnowledge, MaskView, PosedDepth
 from ggwarp.objects.tentative import Candidates
+from ggwarp.runtime.state import Stateful
 
 _LEAST_IOU = 0.2  # a segment and an object that overlap less are not the same
 _NEW_SHARE = 0.5  # a segment without an object is new where the map shows less than this share of it...
@@ -42,7 +43,7 @@ class Association(Protocol):
         ...
 
 
-class TrackedIds:
+class TrackedIds(Stateful):
     """Takes the masks' ids for the objects', which a tracker followed through the frames."""
 
     def __init__(self, classes: ClassTable) -> None:
@@ -105,8 +106,10 @@ def match_segments(segments: Labels, seen: Labels, classes: int) -> SegmentMatch
     return SegmentMatches(np.where(part, best, out), new, paired, rest)
 
 
-class SegmentAssociation:
+class SegmentAssociation(Stateful):
     """Finds each frame's segments among the map's objects, and begins new ones."""
+
+    STATE = ("_views", "_candidates")
 
     def __init__(self, classes: ClassTable) -> None:
         """Prepare to associate; ``classes`` grows with every object that begins."""

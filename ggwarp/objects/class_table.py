@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggwarp.objects.labels import ranked
+from ggwarp.runtime.state import Stateful
 
 log = logging.getLogger(__name__)
 
@@ -29,8 +30,10 @@ MOST_CLASSES = 8192
 """Most classes of a run: an id costs memory (about 45 kB) and time, whoever drew it."""
 
 
-class ClassTable:
+class ClassTable(Stateful):
     """Mask ids, classes and the ids that objects go by; class 0 is "no object"."""
+
+    STATE = ("_ids", "_merged_into", "_class_of_id", "_shares_id_of", "_warned")
 
     def __init__(self) -> None:
         self._ids = [NO_OBJECT]  # class -> the id it goes by; NO_OBJECT: none yet

@@ -24,6 +24,7 @@ from ggwarp.map.gaussian_map import GaussianMap
 from ggwarp.map.gaussians import SH_C0
 from ggwarp.map.neighbourhood import Neighbourhood
 from ggwarp.map.renderer import Renderer
+from ggwarp.runtime.state import FrameSource, State, Stateful
 from ggwarp.runtime.streams import to_host
 from ggwarp.types import Float32
 
@@ -73,13 +74,24 @@ def random_identities(count: int, rng: np.random.Generator) -> Float32:
     return ((rng.random((count, IDENTITY_SIZE)) - 0.5) / SH_C0).astype(np.float32)
 
 
-class Classifier:
+class Classifier(Stateful):
     """W [classes, 16] and b [classes], their Adam state, and the losses that train them.
 
     A class starts as the nearest-code rule: W_c = code_c and b_c = -|code_c|^2 / 2, where ``codes``
     [classes, 16] are random identities. Gaussians seeded with their object's code are then classified
     rightly from the start, and training refines what seeding got wrong.
     """
+
+    STATE = (
+        "codes",
+        "_draws",
+        "_neighbourhood",
+        "_weights",
+        "_biases",
+        "_weight_moments",
+        "_bias_moments",
+        "_steps",
+    )
 
     def __init__(
         self, config: ClassifierConfig, gaussians: GaussianMap, *, seed: int, capacity: int = _CLASSES
@@ -102,6 +114,12 @@ class Classifier:
         self._image_workspace: Any = None
         self._allocate(capacity)
         self.grow(1)
+
+    def restore(self, state: State, frames: FrameSource) -> None:
+        """Take over the classes, with the room that there was for more."""
+        self._allocate(len(state["_steps"]))
+        self._image_workspace = None
+        super().restore(state, frames)
 
     @property
     def count(self) -> int:

@@ -21,6 +21,7 @@ from ggwarp.geometry.voxels import voxel_centres, voxel_keys
 from ggwarp.objects.class_table import IGNORED, ClassTable
 from ggwarp.objects.labels import solid
 from ggwarp.objects.mask_view import MaskView
+from ggwarp.runtime.state import Stateful, state_value
 from ggwarp.types import Float64
 
 _VOXEL = 0.1  # metres
@@ -41,6 +42,7 @@ class SplittingConfig:
     is one object."""
 
 
+@state_value
 @dataclass(eq=False)
 class _Part:
     """A place that an id was seen at; ``index`` is its class once it is taken for an object.
@@ -72,8 +74,10 @@ class _Part:
         self.views += 1
 
 
-class SharedIdSplitter:
+class SharedIdSplitter(Stateful):
     """Knows where each id's objects are, and splits what masks show of an id accordingly."""
+
+    STATE = ("_parts",)
 
     def __init__(self, config: SplittingConfig, classes: ClassTable) -> None:
         """Prepare to look; ``classes`` grows with every object that is split off."""

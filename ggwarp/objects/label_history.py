@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggwarp.geometry.voxels import voxel_keys
-from ggwarp.objects.class_table import IGNORED, ClassTable
-from ggwarp.objects.labels import Labels, contingency, ranked
+from ggwarp.objects.class_table import ClassTable
+from ggwarp.objects.labels import Labels, as_png, contingency, from_png, ranked
 from ggwarp.objects.mask_view import MaskView
+from ggwarp.runtime.state import Stateful
 
 _VOXEL = 0.25  # metres
 _LEAST_PIXELS = 20
@@ -29,11 +30,13 @@ _ESTABLISHED = 4
 """What came under its object's own name in so many views keeps it: the tracker's ids went astray."""
 
 
-class LabelHistory:
+class LabelHistory(Stateful):
     """How often each place of each object of the map carried which label, in views.
 
     By place, as an object begun under another's id is not that other because that one often came.
     """
+
+    STATE = ("_views", "_kept")
 
     def __init__(self, classes: ClassTable) -> None:
         """Prepare to count; ``classes`` says which objects share an id."""
@@ -43,16 +46,17 @@ class LabelHistory:
 
     def keep(self, index: int, labels: Labels) -> None:
         """Keep the labels that frame ``index`` came with, [h, w]."""
-        # As a PNG: a few kilobytes, where the image would be megabytes.
-        picture = (labels - IGNORED).astype(np.uint16)
-        self._kept[index] = np.asarray(cv2.imencode(".png", picture)[1], np.uint8)
+        self._kept[index] = as_png(labels)
 
-    def kept(self, index: int) -> Labels | None:
-        """Return the labels that frame ``index`` came with, merged since; None: they were not kept."""
+    def kept(self, index: int, shape: tuple[int, ...]) -> Labels | None:
+        """Return the labels that frame ``index`` came with, merged since; None: they were not kept.
+
+        Args:
+            shape: height and width of the frame's images.
+        """
         if index not in self._kept:
             return None
-        picture = cv2.imdecode(self._kept[index], cv2.IMREAD_UNCHANGED)
-        return self._classes.merged(np.asarray(picture, np.int32) + IGNORED)
+        return self._classes.merged(from_png(self._kept[index], shape))
 
     def correct(self, mask: MaskView, *, anew: bool = True) -> MaskView:
         """Take in a view; return it with the labels replaced that are wrong about an object of the map.

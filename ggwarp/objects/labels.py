@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Labels = NDArray[np.int32]
+_UNKNOWN = -1
 _EDGE = 0.01  # of the image's width: so near to a mask's border it may be wrong
 
 
@@ -30,6 +31,27 @@ def ranked(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.intp]]:
     """
     distinct = np.unique(values)
     return distinct, np.searchsorted(distinct, values)
+
+
+def as_png(labels: Labels) -> NDArray[np.uint8]:
+    """Return ``labels`` [h, w] of -1 to 65534 as a PNG file: a few kilobytes, where they take megabytes."""
+    return np.asarray(cv2.imencode(".png", (labels - _UNKNOWN).astype(np.uint16))[1], np.uint8)
+
+
+def from_png(data: NDArray[np.uint8], shape: tuple[int, ...]) -> Labels:
+    """Return the labels [h, w] of :func:`as_png`.
+
+    Raises:
+        ValueError: it is no such file, or of another ``shape``.
+    """
+    # An image's size is in its first bytes: nothing larger is ever unpacked.
+    height, width = (int.from_bytes(data[at : at + 4].tobytes(), "big") for at in (20, 16))
+    if (height, width) != shape[:2]:
+        raise ValueError(f"labels of {width}x{height} pixels, but the image has {shape[1]}x{shape[0]}")
+    picture = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+    if picture is None or picture.dtype != np.uint16:
+        raise ValueError("labels are no 16-bit image")
+    return np.asarray(picture, np.int32) + _UNKNOWN
 
 
 def filled(labels: Labels) -> Labels:

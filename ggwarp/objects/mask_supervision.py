@@ -24,6 +24,7 @@ from ggwarp.objects.label_history import LabelHistory
 from ggwarp.objects.labels import Labels
 from ggwarp.objects.mask_view import LabelTargets, MaskView, PosedDepth, targets_without_mask
 from ggwarp.objects.merging import ObjectMerger
+from ggwarp.runtime.state import Stateful
 from ggwarp.types import Float32, Float64, Frame, Rendered
 
 
@@ -42,8 +43,10 @@ class SupervisionConfig:
     splitting: SplittingConfig = field(default_factory=SplittingConfig)
 
 
-class ObjectSupervision:
+class ObjectSupervision(Stateful):
     """Takes masks to the map, stage by stage."""
+
+    STATE = ("_association", "_splitter", "_history", "_merger")
 
     def __init__(
         self,
@@ -112,7 +115,7 @@ class ObjectSupervision:
             T_wc: [4, 4] its pose.
             rendered: the map's view from there.
         """
-        labels = self._history.kept(index)
+        labels = self._history.kept(index, depth.shape)
         if labels is None:
             return None
         surface = PosedDepth(depth, T_wc, self._camera)

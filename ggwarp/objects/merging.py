@@ -17,6 +17,7 @@ import numpy as np
 from ggwarp.objects.class_table import IGNORED, NO_OBJECT, ClassTable
 from ggwarp.objects.labels import Labels, contingency
 from ggwarp.objects.mask_view import MaskView
+from ggwarp.runtime.state import Stateful
 
 log = logging.getLogger(__name__)
 
@@ -34,8 +35,10 @@ class ClassRecords(Protocol):
         ...
 
 
-class ObjectMerger:
+class ObjectMerger(Stateful):
     """Counts how often two objects were shown as one, and as two; merges those that are one."""
+
+    STATE = ("_together", "_apart")
 
     def __init__(self, classes: ClassTable, *others: ClassRecords, together: int = _TOGETHER) -> None:
         """Prepare to count.

@@ -18,13 +18,14 @@ from ggwarp.objects.labels import Labels
 from ggwarp.objects.linear_classifier import LinearClassifier
 from ggwarp.objects.mask_supervision import ObjectSupervision, SupervisionConfig
 from ggwarp.objects.visibility import ObjectVisibility
+from ggwarp.runtime.state import Stateful
 from ggwarp.types import Float32, Float64, Frame, Rendered
 
 _OPAQUE = 0.5  # a pixel shows an object where the map is at least so opaque
 _PROBABLE = 0.3  # a Gaussian belongs to its likeliest object when that is likelier (Gaussian Grouping)
 
 
-class ObjectLearning:
+class ObjectLearning(Stateful):
     """The objects of a map.
 
     Attributes:
@@ -33,6 +34,16 @@ class ObjectLearning:
         visibility: which keyframes showed which class.
         voting_indices: frames whose mask voted, but that were not mapped.
     """
+
+    STATE = (
+        "classes",
+        "classifier",
+        "visibility",
+        "voting_indices",
+        "_supervision",
+        "_other_frames",
+        "_frames",
+    )
 
     def __init__(
         self,

@@ -14,6 +14,7 @@ import numpy as np
 
 from ggwarp.objects.labels import Labels
 from ggwarp.objects.mask_view import PosedDepth
+from ggwarp.runtime.state import Stateful, state_value
 from ggwarp.types import Float64
 
 _POINTS = 64
@@ -21,6 +22,7 @@ _SEEN = 0.3
 _HIT = 0.6
 
 
+@state_value
 @dataclass(eq=False)
 class Candidate:
     """A segment that may be an object; ``index`` is its class once it is taken for one."""
@@ -31,12 +33,14 @@ class Candidate:
 
 
 @dataclass
-class Candidates:
+class Candidates(Stateful):
     """Those followed now.
 
     Attributes:
         views: keyframes that must show one before it is taken for an object.
     """
+
+    STATE = ("_followed",)
 
     views: int
     _followed: list[Candidate] = field(default_factory=list)

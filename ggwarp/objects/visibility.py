@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggwarp.objects.class_table import NO_OBJECT
+from ggwarp.runtime.state import Stateful
 
 _LEAST_SHARE = 1e-4  # of the image: less is a dot in a mask
 
@@ -29,8 +30,10 @@ class VisibleFrames:
     views: int
 
 
-class ObjectVisibility:
+class ObjectVisibility(Stateful):
     """The keyframes of every object, by any number."""
+
+    STATE = ("_frames",)
 
     def __init__(self) -> None:
         self._frames: dict[int, set[int]] = {}

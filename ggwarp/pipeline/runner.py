@@ -16,12 +16,14 @@ import contextlib
 import queue
 import threading
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, Generic, TypeVar
 
 from ggwarp.pipeline.scheduler import Waiting
 from ggwarp.pipeline.slam import Slam
 from ggwarp.pipeline.tracked_frame import TrackedFrame
+from ggwarp.runtime.state import State
 from ggwarp.types import Frame, StepReport
 
 T = TypeVar("T")
@@ -34,6 +36,18 @@ _PATIENCE, _INTERVAL = 4.0, 0.1
 """Seconds that a thread may take to end, and after which one who waits for it looks again."""
 
 
+@dataclass
+class Snapshot:
+    """Both sides of the system after the same frame, as :meth:`ggwarp.pipeline.slam.Slam.restore` takes them.
+
+    The tracker's side adds its own when one is due, and the mapper's when that frame's turn has come: neither
+    waits for the other.
+    """
+
+    tracking: State
+    mapping: State = field(default_factory=dict)
+
+
 class SideError(RuntimeError):
     """One side of the system failed: reading, tracking or mapping; ``__cause__`` has the reason."""
 
@@ -42,21 +56,29 @@ class SideError(RuntimeError):
 
 
 def run_steps(
-    slam: Slam, items: Iterable[Any], *, concurrent: bool = False, stopped: Callable[[], bool] = lambda: False
+    slam: Slam,
+    items: Iterable[Any],
+    *,
+    concurrent: bool = False,
+    stopped: Callable[[], bool] = lambda: False,
+    snapshot_due: Callable[[], bool] = lambda: False,
 ) -> Iterator[tuple[Any, StepReport | None]]:
     """Process the frames among ``items``; yield every item in order, each frame with its report.
+
+    Where one is due, a :class:`Snapshot` is yielded after the frame that it is of.
 
     Args:
         items: frames, and anything else in place of a frame that is missing.
         concurrent: track in a second thread, up to :data:`AHEAD` frames ahead of the mapper.
         stopped: asked between frames whether to end early.
+        snapshot_due: asked between frames by the tracker's side.
 
     Raises:
         SideError: one side failed; both have ended. Every tracked frame was yielded before.
         ValueError: ``concurrent``, but tracking looks at the Gaussians being mapped.
     """
     halted = threading.Event()
-    source = _tracked(slam, items, lambda: halted.is_set() or stopped())
+    source = _tracked(slam, items, lambda: halted.is_set() or stopped(), snapshot_due)
     failure: SideError | None = None
     with contextlib.ExitStack() as stack:
         waiting = None
@@ -66,6 +88,11 @@ def run_steps(
             waiting = source.waiting
         try:
             for item, tracked in source:
+                if isinstance(item, Snapshot):
+                    if failure is None and slam.has_state:
+                        item.mapping = slam.mapping_state()
+                        yield item, None
+                    continue
                 if tracked is None:
                     yield item, None
                     continue
@@ -95,12 +122,14 @@ def _mapped(
 
 
 def _tracked(
-    slam: Slam, items: Iterable[Any], stopped: Callable[[], bool]
+    slam: Slam, items: Iterable[Any], stopped: Callable[[], bool], snapshot_due: Callable[[], bool]
 ) -> Iterator[tuple[Any, TrackedFrame | None]]:
-    """The tracker's side: yield every item, frames with their pose."""
+    """The tracker's side: yield every item, frames with their pose, and its half of snapshots."""
     last = None
     remaining = iter(items)
     while not stopped():
+        if snapshot_due() and last is not None:
+            yield Snapshot(slam.tracking_state()), None
         try:
             item = next(remaining, None)
         except Exception as error:

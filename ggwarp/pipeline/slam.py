@@ -42,8 +42,12 @@ from ggwarp.pipeline.tracking.tracker import TrackerContext, TrackingConfig, mak
 from ggwarp.results.run_folder import write_system
 from ggwarp.runtime import loading
 from ggwarp.runtime.image_store import ImageStore
+from ggwarp.runtime.state import FrameSource, State, Stateful, restore_into, state_of
 from ggwarp.runtime.streams import NO_LOCK, stream_scopes
 from ggwarp.types import Float64, Frame, Rendered, StepReport, TrackResult
+
+_TRACKING_STATE = ("_tracker", "_policy", "_trackable", "_earlier_poses", "_restart_at")
+_MAPPING_STATE = ("_mapper", "reports", "counts", "_unmapped")
 
 
 @dataclass(frozen=True)
@@ -103,7 +107,8 @@ class Slam:
         self._images = images
         self._scheduler = scheduler or SynchronousScheduler(config.mapper.iterations)
         self._tracking_scope = self._mapping_scope = NO_LOCK
-        self._last: TrackResult | None = None
+        self._restart_at: Float64 | None = None
+        self._unmapped = 0
         self.reports: list[StepReport] = []
         self.counts = {"tracking_keyframes": 0, "mapping_keyframes": 0, "frames_lost": 0}
         self._build()
@@ -165,7 +170,32 @@ class Slam:
 
     def leave_unmapped(self, tracked: TrackedFrame) -> StepReport:
         """Report a frame that the map will never see: the run ends before its turn."""
+        self._unmapped += 1
         return self._report(dataclasses.replace(tracked, kind=KeyframeKind.NONE), 0.0, 0, math.nan)
+
+    @property
+    def has_state(self) -> bool:
+        """Whether its state is whole: not with a tracker that has none, nor with frames left unmapped."""
+        return isinstance(self._tracker, Stateful) and self._unmapped == 0
+
+    def tracking_state(self) -> State:
+        """Return the state of the tracker's side, between two of its frames."""
+        with self._tracking_scope:
+            return state_of(self, _TRACKING_STATE)
+
+    def mapping_state(self) -> State:
+        """Return the state of the mapper's side, between two of its frames."""
+        with self._mapping_scope:
+            return state_of(self, _MAPPING_STATE)
+
+    def restore(self, tracking: State, mapping: State, frames: FrameSource) -> None:
+        """Go on from both sides' states after the same frame; before the first frame of this system.
+
+        Raises:
+            StateError, KeyError, TypeError, ValueError: they are no states of such a system.
+        """
+        restore_into(self, _TRACKING_STATE, tracking, frames)
+        restore_into(self, _MAPPING_STATE, mapping, frames)
 
     @contextlib.contextmanager
     def in_two_threads(self) -> Iterator[None]:
@@ -238,16 +268,16 @@ class Slam:
         write_system(Path(folder), self, names or {})
 
     def _track(self, frame: Frame) -> TrackResult:
-        if self._last is not None and self._last.reinitialise:
+        if self._restart_at is not None:
             self._build()
-            begun = self._tracker.start(frame, self._last.T_wc)
+            begun = self._tracker.start(frame, self._restart_at)
             result = dataclasses.replace(begun, reason="the start was bad: a new map begins")
         elif self._policy.empty:
             result = self._tracker.start(frame, np.eye(4) if frame.T_wc is None else frame.T_wc)
         else:
             result = self._tracker.track(frame, self._trackable.snapshot())
         self._earlier_poses |= result.earlier_poses
-        self._last = result
+        self._restart_at = result.T_wc if result.reinitialise else None
         return result
 
     def _insert(self, tracked: TrackedFrame) -> None:

@@ -22,8 +22,10 @@ from pathlib import Path
 
 from ggwarp.io.lock import in_use, lock_folder
 from ggwarp.io.mounts import is_mount
+from ggwarp.results.checkpoints import FOLDER, checkpoint_files, is_superseded, put_apart, target_of
 from ggwarp.results.run_folder import OUTPUTS
 
+_FOLDERS = ("renders", FOLDER)
 _RENDER = re.compile(r"frame\d+_\w+\.png")
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # of Linux's renameat2
 
@@ -34,18 +36,25 @@ class StagedFolder:
     Attributes:
         target: where the run will be; None with ``out``: ``runs/<sequence>/<UTC time>``.
         path: where its files are now: the staging folder, then the target.
+        linked: whether ``runs/latest`` will show it.
     """
 
-    def __init__(self, out: Path | None, sequence: str) -> None:
+    def __init__(
+        self, out: Path | None, sequence: str, *, adopted: Path | None = None, linked: bool = False
+    ) -> None:
         """Look at the target; nothing is made or changed yet.
 
         Args:
             out: the folder; None: ``runs/<sequence>/<UTC time>``, with a link ``runs/latest``.
+            adopted: the folder that an unfinished run into ``out`` left, to go on in; None: a new one.
+            linked: have the link show ``out``, too.
 
         Raises:
             OSError: it is no folder, or it holds something else than a run.
         """
-        self._linked = out is None
+        self._adopted = adopted
+        self._dated = out is None
+        self.linked = linked or out is None
         if out is None:
             stamp = time.strftime("%Y-%m-%dT%H-%M-%SZ", time.gmtime())
             out = Path("runs") / (re.sub(r"[^\w.-]+", "_", sequence) or "sequence") / stamp
@@ -54,8 +63,7 @@ class StagedFolder:
         self.target = self.path = out
         # Of a link to a folder, it is the folder that is replaced.
         self._real = Path(os.path.realpath(out))
-        left = list(self._leftovers())
-        if _holds_others(self._real, left):
+        if _holds_others(self._real, [*self._leftovers(), adopted]):
             reason = "holds other files and no run, and is left alone; choose another --out"
             raise FileExistsError(errno.EEXIST, reason, str(out))
         self._inside = False
@@ -67,8 +75,15 @@ class StagedFolder:
         """Whether the target holds an earlier run."""
         return holds_run(self._real)
 
-    def create(self) -> list[Path]:
-        """Make the staging folder; return what killed runs had left, now removed.
+    def nearest(self) -> Path:
+        """Return :attr:`path`, or while that is not made its nearest parent that is there."""
+        return next(p for p in (self.path, *self.path.absolute().parents) if p.is_dir())
+
+    def create(self) -> dict[Path, Path | None]:
+        """Make the staging folder, or take over the one to go on in.
+
+        Returns:
+            What killed runs had left, now removed; or where it is now, if such a run can go on.
 
         Raises:
             OSError: it cannot be made.
@@ -86,7 +101,7 @@ class StagedFolder:
             OSError: it cannot be done; :attr:`path` is then still the staging folder.
         """
         sync_folder(self.path)
-        if self._linked:
+        if self._dated:
             self._move_to_free_name()
         elif self._inside:
             _replace_files(self.path, self._real)
@@ -98,7 +113,7 @@ class StagedFolder:
         sync_folder(self._real.parent)
         self.path = self.target
         self._unlock()
-        if self._linked:
+        if self.linked:
             _link_latest(self.target)
 
     def keep_apart(self) -> None:
@@ -108,32 +123,39 @@ class StagedFolder:
             OSError: it cannot be renamed; :attr:`path` is then still the staging folder.
         """
         shown = self._real if self.target.is_symlink() else self.target
-        base = shown / "incomplete" if self._inside else shown.with_name(f"{shown.name}-incomplete")
-        path, again = base, 1
-        while path.exists():
-            again += 1
-            path = base.with_name(f"{base.name}-{again}")
-        os.rename(self.path, path)
-        self.path = path
+        self.path = put_apart(self.path, shown, inside=self._inside)
         self._unlock()
 
-    def discard(self) -> None:
-        """Remove the staging folder and what was made for it; the target is as it was."""
+    def discard(self, *, whole: bool = False) -> Path | None:
+        """Remove the staging folder and what was made for it; the target is as it was.
+
+        Args:
+            whole: with its checkpoints; else these stay.
+
+        Returns:
+            Where the folder is now, if its run has a checkpoint to go on from; None: it is gone.
+        """
         if self.path == self.target:
-            return
+            return None
+        if checkpoint_files(self.path) and not whole:
+            with contextlib.suppress(OSError):
+                self.keep_apart()
+            return self.path
         shutil.rmtree(self.path, ignore_errors=True)
         self.path = self.target
         self._unlock()
         for folder in self._made:
             with contextlib.suppress(OSError):
                 folder.rmdir()
+        return None
 
-    def _create(self) -> list[Path]:
+    def _create(self) -> dict[Path, Path | None]:
         parent = self._real.parent
         self._make_parents(parent)
-        removed = [left for left in self._leftovers() if not in_use(left)]
-        for left in removed:
-            self._clear(left)
+        if self._adopted is not None:
+            self._lock = lock_folder(self._adopted)
+        found = {left: None for left in self._leftovers() if left != self._adopted and not in_use(left)}
+        cleared = {left: self._clear_or_keep(left) for left in found}
         self._inside = _cannot_be_renamed(self._real)
         base = self._real / f".partial-{os.getpid()}"
         if not self._inside:
@@ -141,14 +163,20 @@ class StagedFolder:
         path, again = base, 1
         while True:
             try:
-                path.mkdir()
+                if self._adopted is None:
+                    path.mkdir()
+                elif path.exists():
+                    raise FileExistsError
+                else:
+                    os.rename(self._adopted, path)
                 break
             except FileExistsError:
                 again += 1
                 path = base.with_name(f"{base.name}-{again}")
         self.path = path
-        self._lock = lock_folder(path)
-        return removed
+        if self._adopted is None:
+            self._lock = lock_folder(path)
+        return cleared
 
     def name_target(self, error: BaseException) -> None:
         """Have ``error`` name a file where it will be, not in a folder that nobody knows."""
@@ -163,7 +191,7 @@ class StagedFolder:
     def _leftovers(self) -> Iterator[Path]:
         """Yield the staging folders of other runs into the same target, and old runs half replaced."""
         # Beside a folder named after the time, those of any time.
-        name = r"\d{4}-\d\d-\d\dT[\d-]+Z[\d-]*" if self._linked else re.escape(self._real.name)
+        name = r"\d{4}-\d\d-\d\dT[\d-]+Z[\d-]*" if self._dated else re.escape(self._real.name)
         with contextlib.suppress(OSError):
             for path in sorted(self._real.parent.iterdir()):
                 if re.fullmatch(rf"\.{name}\.(partial|old)-\d+(-\d+)?", path.name):
@@ -172,6 +200,14 @@ class StagedFolder:
             for path in sorted(self._real.iterdir()):
                 if re.fullmatch(r"\.partial-\d+(-\d+)?", path.name):
                     yield path
+
+    def _clear_or_keep(self, left: Path) -> Path | None:
+        """Remove ``left``, or return its new name where its run can go on and no later one took its place."""
+        target = target_of(left)
+        if target is None or not checkpoint_files(left) or is_superseded(left, target):
+            self._clear(left)
+            return None
+        return put_apart(left, target, inside=left.parent == target)
 
     def _clear(self, left: Path) -> None:
         """Remove ``left``; an earlier run goes back where nothing replaced it, and a user's files stay."""
@@ -215,7 +251,7 @@ def sync_folder(folder: Path) -> None:
             os.close(file)
 
 
-def _holds_others(folder: Path, ours: list[Path]) -> bool:
+def _holds_others(folder: Path, ours: list[Path | None]) -> bool:
     if not folder.is_dir() or holds_run(folder):
         return False
     # A file in the place of the renders' folder stays, and only they cannot be written.
@@ -250,6 +286,8 @@ def _exchange(new: Path, target: Path) -> None:
 
 def _is_output(path: Path) -> bool:
     """Return whether ``path``, relative to a run folder, is what a run writes."""
+    if path.parts[0] == FOLDER:
+        return len(path.parts) == 2 and path.suffix == ".safetensors"
     if path.parts[0] == "renders":
         return len(path.parts) == 2 and _RENDER.fullmatch(path.name) is not None
     return str(path) in OUTPUTS
@@ -258,7 +296,7 @@ def _is_output(path: Path) -> bool:
 def _carry_over(old: Path, new: Path) -> None:
     """Move what no run writes from ``old`` to ``new``: a user's notes in a run folder stay in it."""
     for path in sorted(old.iterdir()) if new.is_dir() else ():
-        inside = sorted(path.iterdir()) if path.name == "renders" and path.is_dir() else [path]
+        inside = sorted(path.iterdir()) if path.name in _FOLDERS and path.is_dir() else [path]
         for one in inside:
             name = one.relative_to(old)
             unfinished = one.name.startswith(".") and one.name.endswith(".part")
@@ -274,7 +312,7 @@ def _replace_files(new: Path, target: Path) -> None:
     for name in fresh:
         (target / name).parent.mkdir(exist_ok=True)
         os.replace(new / name, target / name)
-    for path in (*target.iterdir(), *(target / "renders").glob("*")):
+    for path in (*target.iterdir(), *(p for name in _FOLDERS for p in (target / name).glob("*"))):
         name = path.relative_to(target)
         if name not in fresh and _is_output(name):
             path.unlink()

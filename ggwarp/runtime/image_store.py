@@ -55,7 +55,8 @@ class ImageStore:
     What is in memory and what in the file does not matter to any result.
 
     Attributes:
-        held: bytes in memory.
+        device: Warp device of the arrays in memory.
+        held: their bytes.
     """
 
     def __init__(
@@ -72,7 +73,7 @@ class ImageStore:
             budget: bytes; None: all stay in memory.
             folder: tells where the file will be, when it is first needed; None: the temporary folder.
         """
-        self._device, self._budget, self._folder = device, budget, folder
+        self.device, self._budget, self._folder = device, budget, folder
         self._arrays: OrderedDict[Hashable, wp.array] = (
             OrderedDict()
         )  # in memory, the one used last at the end
@@ -171,7 +172,7 @@ class ImageStore:
         except zlib.error as error:
             raise OSError(errno.EIO, f"the temporary file of images is damaged ({error})") from None
         image = np.frombuffer(data, place.host_dtype).reshape(place.shape)
-        return wp.array(image, dtype=place.dtype, device=self._device)
+        return wp.array(image, dtype=place.dtype, device=self.device)
 
     def _opened(self) -> IO[bytes]:
         if self._file is None:

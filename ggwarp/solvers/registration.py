@@ -15,6 +15,7 @@ import warp as wp
 
 from ggwarp.kernels.registration import covariance, gicp, gicp_loop, hash_grid
 from ggwarp.runtime.graphs import GraphCache
+from ggwarp.runtime.state import FrameSource, State, Stateful
 from ggwarp.runtime.streams import to_host
 from ggwarp.types import Float64
 
@@ -126,7 +127,7 @@ def register(
     return Registrar(device=device, recorded=False).register(cloud, target, T_start, stages)
 
 
-class Registrar:
+class Registrar(Stateful):
     """Registers one cloud after another in arrays that it keeps.
 
     Recorded, the whole registration is one graph, whatever the cloud and the target: it is recorded anew only
@@ -146,6 +147,16 @@ class Registrar:
         self._recorded = recorded
         self._graphs = GraphCache(self._device)
         self._room = (0, 0)
+
+    def state(self) -> State:
+        """Return how much room there is: on CUDA sums are taken over all of it."""
+        return {"room": list(self._room)}
+
+    def restore(self, state: State, frames: FrameSource) -> None:
+        """Make the same room."""
+        points, stages = state["room"]
+        if points:
+            self._allocate(points, stages)
 
     def register(
         self, cloud: Cloud, target: RegistrationTarget, T_start: Float64, stages: list[RegistrationStage]
@@ -174,7 +185,10 @@ class Registrar:
     def _reserve(self, points: int, stages: int) -> None:
         if points <= self._room[0] and stages <= self._room[1]:
             return
-        self._room = (max(int(_GROWTH * points), self._room[0]), max(stages, self._room[1]))
+        self._allocate(max(int(_GROWTH * points), self._room[0]), max(stages, self._room[1]))
+
+    def _allocate(self, points: int, stages: int) -> None:
+        self._room = (points, stages)
 
         def zeros(shape: Any, dtype: Any) -> Any:
             return wp.zeros(shape, dtype=dtype, device=self._device)

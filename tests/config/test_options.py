@@ -3,14 +3,17 @@
 
 from __future__ import annotations
 
-from ggwarp.config.options import GROUPS, option_table
+from ggwarp.config.options import GROUPS, option_table, run_options
 
 MOST = 70
 
 
 def test_there_are_few_options():
     flags = [o.flag for o in option_table()]
-    assert len(flags) == len(set(flags)) <= MOST, flags
+    assert len(flags) == len(set(flags))
+    decisive = [o.flag for o in run_options()]
+    assert len(decisive) <= MOST, decisive
+    assert set(flags) - set(decisive) == {"--config", "--resume", "--checkpoint-every"}
 
 
 def test_each_is_explained_in_whole_sentences():

@@ -24,6 +24,7 @@ class FakeSlam:
     on_refine = staticmethod(lambda done: None)
     sequential_only = False
     can_refine = True
+    has_state = False
 
     def __init__(self, config, camera, sensor_camera, *, device, scheduler=None, images=None):
         self.camera, self.device, self.scheduler = camera, device, scheduler

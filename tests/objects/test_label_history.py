@@ -139,11 +139,11 @@ def test_kept_labels_come_back_merged() -> None:
     classes = ClassTable()
     one, other = classes.encode(np.array([5, 70_000], np.int32)).tolist()
     history, labels = LabelHistory(classes), picture(-1, one, other)
-    assert history.kept(3) is None
+    assert history.kept(3, (2, 3)) is None
     history.keep(3, labels)
-    np.testing.assert_array_equal(history.kept(3), labels)
+    np.testing.assert_array_equal(history.kept(3, labels.shape), labels)
     classes.merge(one, other)
-    np.testing.assert_array_equal(history.kept(3), picture(-1, one, one))
+    np.testing.assert_array_equal(history.kept(3, labels.shape), picture(-1, one, one))
 
 
 def test_a_majority_must_carry_the_other_label() -> None:

@@ -137,11 +137,11 @@ def test_what_a_killed_run_left_is_told_from_what_a_living_one_writes(tmp_path: 
         left = tmp_path / other.stdout.readline().strip()
         assert left.name.startswith(".o.partial-")
         folder = StagedFolder(tmp_path / "o", "x")
-        assert folder.create() == []
+        assert folder.create() == {}
         folder.discard()
         other.send_signal(signal.SIGKILL)
     assert left.is_dir() and texts(tmp_path / "o") == {"old"}
-    assert StagedFolder(tmp_path / "o", "x").create() == [left]
+    assert StagedFolder(tmp_path / "o", "x").create() == {left: None}
     assert not left.exists() and texts(tmp_path / "o") == {"old"}
 
 

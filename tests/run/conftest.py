@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from fake_slam import FRAMES, HEIGHT, WIDTH, FakeSlam
-from ggwarp import session
+from ggwarp import preparation, session
 
 
 @pytest.fixture
@@ -41,6 +41,6 @@ def fake(monkeypatch, tmp_path, tmp_path_factory):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path_factory.mktemp("temporary")))
     monkeypatch.delenv("GGWARP_DATA", raising=False)
-    monkeypatch.setattr(session, "Slam", FakeSlam)
+    monkeypatch.setattr(preparation, "Slam", FakeSlam)
     monkeypatch.setattr(session, "load_kernels", lambda device, display: None)
     return FakeSlam

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from fake_slam import FRAMES, only_line
-from ggwarp import run, session
+from ggwarp import run, saving, session
 from ggwarp.io.ply import read_ply
 from ggwarp.io.trajectory import read_tum
 from ggwarp.results import run_folder, staging
@@ -73,7 +73,7 @@ def test_what_follows_the_saving_may_fail_alone(scene, fake, monkeypatch, capsys
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "here")
 
     name = {"evaluation": "compare", "saving renders": "RenderWriter"}[part]
-    monkeypatch.setattr(session, name, full)
+    monkeypatch.setattr(session if name == "compare" else saving, name, full)
     assert run.main(["--seq", "room9", "--device", "cpu", "--out", "o"]) == 1
     out, errors = capsys.readouterr()
     assert errors == f"ggwarp: {part} failed: here: No space left on device\n"

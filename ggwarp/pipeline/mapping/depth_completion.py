@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from ggwarp.geometry.two_views import InverseDepth, Matcher, filled, fuse, grey, triangulate
+from ggwarp.runtime.state import Stateful
 from ggwarp.types import Float32, Float64, Frame, Rendered
 
 _OPAQUE = 0.95
@@ -23,8 +24,10 @@ _CONTRADICTION = 0.15
 """Triangulated depth goes before the map's where the two differ by more than this share."""
 
 
-class DepthCompletion:
+class DepthCompletion(Stateful):
     """Completes the depth of pictures from the map and from the pictures before them."""
+
+    STATE = ("_recent",)
 
     def __init__(self, camera: Camera) -> None:
         """``camera``: of all the pictures."""

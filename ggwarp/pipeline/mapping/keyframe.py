@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 
 from ggwarp.geometry import se3
 from ggwarp.kernels.math import vec6
+from ggwarp.objects.labels import as_png, from_png
 from ggwarp.runtime.image_store import ImageStore
+from ggwarp.runtime.state import FrameSource, State, Stateful, frame_checksum, into_array, reread
 from ggwarp.runtime.streams import to_host
 from ggwarp.types import Exposure, Float64, Frame
 
@@ -34,6 +36,7 @@ class KeyframeState:
         pose_moments, pose_steps: [2] vec6 and [1] int, Adam's state of that pose.
         exposure: [1] vec6, see :mod:`ggwarp.kernels.photometric.affine_exposure`; 0: the map's own.
         exposure_moments, exposure_steps: as those of the pose.
+        checksum: of the frame's picture and depth, see :func:`ggwarp.runtime.state.frame_checksum`.
     """
 
     index: int
@@ -44,6 +47,7 @@ class KeyframeState:
     exposure: wp.array
     exposure_moments: wp.array
     exposure_steps: wp.array
+    checksum: int
 
 
 @dataclass(frozen=True)
@@ -94,10 +98,17 @@ def upload(
         colour=wp.array(frame.rgb, dtype=wp.uint8, device=device),
         depth=wp.array(depth, dtype=float, device=device),
         labels=None if labels is None else wp.array(labels, dtype=int, device=device),
+        checksum=frame_checksum(frame.rgb, frame.depth),
     )
 
 
-class Keyframes(Sequence[Keyframe]):
+POSE = ("T_cw", "pose_moments", "pose_steps")
+"""What a step of the pose changes."""
+EXPOSURE = ("exposure", "exposure_moments", "exposure_steps")
+"""What a step of the exposure changes."""
+
+
+class Keyframes(Sequence[Keyframe], Stateful):
     """All keyframes, numbered in the order in which they came.
 
     Attributes:
@@ -108,6 +119,7 @@ class Keyframes(Sequence[Keyframe]):
         """Begin without any; their images go to ``images``, by number and name, which nobody else uses."""
         self.states: list[KeyframeState] = []
         self._images = images
+        self._packed_labels: dict[int, NDArray[np.uint8]] = {}  # those that have not changed since
         images.clear()
 
     def __len__(self) -> int:
@@ -146,11 +158,42 @@ class Keyframes(Sequence[Keyframe]):
             array = self._images.get(key)
             array.assign(labels)
             self._images.put(key, array)
+            self._packed_labels.pop(number, None)
 
     @property
     def indices(self) -> list[int]:
         """The frames that they are."""
         return [state.index for state in self.states]
+
+    def state(self) -> State:
+        """Return what was fitted and labelled; pictures go by reference to their frames."""
+        for number in range(len(self)):
+            key = number, "labels"
+            if key in self._images and number not in self._packed_labels:
+                self._packed_labels[number] = as_png(to_host(self._images.get(key)))
+        fitted = {
+            name: np.stack([to_host(getattr(k, name)) for k in self.states]) if self.states else None
+            for name in (*POSE, *EXPOSURE)
+        }
+        return {
+            "indices": self.indices,
+            "checksums": [k.checksum for k in self.states],
+            "has_depth": [k.has_depth for k in self.states],
+            "labels": [self._packed_labels.get(number) for number in range(len(self))],
+            "fitted": fitted,
+        }
+
+    def restore(self, state: State, frames: FrameSource) -> None:
+        """Read the frames again, and take over what was fitted and labelled."""
+        names = ("indices", "checksums", "has_depth", "labels")
+        rows = zip(*(state[name] for name in names), strict=True)
+        for number, (index, checksum, has_depth, packed) in enumerate(rows):
+            frame = reread(frames, index, checksum, with_depth=has_depth)
+            labels = None if packed is None else from_png(packed, frame.rgb.shape[:2])
+            keyframe = upload(frame, np.eye(4), labels, device=self._images.device)
+            for name in (*POSE, *EXPOSURE):
+                into_array(getattr(keyframe, name), state["fitted"][name][number])
+            self.append(keyframe)
 
     def pose(self, number: int) -> Float64:
         """Return the camera-to-world pose [4, 4] of keyframe ``number`` (-1: the newest) as it is now."""
@@ -161,12 +204,6 @@ class Keyframes(Sequence[Keyframe]):
         """Return the exposure of keyframe ``number`` (-1: the newest) as it is now."""
         values = to_host(self.states[number].exposure)[0].tolist()
         return Exposure(tuple(values[:3]), tuple(values[3:]))
-
-
-POSE = ("T_cw", "pose_moments", "pose_steps")
-"""What a step of the pose changes."""
-EXPOSURE = ("exposure", "exposure_moments", "exposure_steps")
-"""What a step of the exposure changes."""
 
 
 class KeyframeBuffer:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ggwarp.map.covisibility import Look, Seen
 from ggwarp.pipeline.mapping.keyframe_window import WindowConfig, keyframes_that_leave, unconfirmed
+from ggwarp.runtime.state import Stateful
 from ggwarp.types import Float64
 
 _PAST = 2
@@ -42,8 +43,10 @@ class KeyframeSampler(Protocol):
         ...
 
 
-class RandomSampler:
+class RandomSampler(Stateful):
     """The newest keyframe first, once; then any, at random (GS-ICP-SLAM)."""
+
+    STATE = ("_rng", "_count", "_newest_pending")
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._rng = rng
@@ -68,8 +71,10 @@ class RandomSampler:
         return None
 
 
-class WindowSampler:
+class WindowSampler(Stateful):
     """Rounds over the covisible window, the newest first, and two keyframes of the past (MonoGS)."""
+
+    STATE = ("_rng", "_count", "_round", "_window")
 
     def __init__(
         self, rng: np.random.Generator, config: WindowConfig, look: Look, pose: Callable[[int], Float64]

@@ -21,6 +21,7 @@ from ggwarp.pipeline.mapping.keyframe import Keyframes, upload
 from ggwarp.pipeline.mapping.keyframe_sampler import KeyframeSampler
 from ggwarp.pipeline.mapping.optimiser import MapOptimiser, OptimiserConfig
 from ggwarp.pipeline.mapping.seeding import SeedingConfig, seed_density, seed_gaussians
+from ggwarp.runtime.state import Stateful
 from ggwarp.runtime.streams import to_host
 from ggwarp.types import Exposure, Float64, Frame, Rendered
 
@@ -39,7 +40,7 @@ class MapperConfig(OptimiserConfig):
     """Seed of the random choice of keyframes and identities."""
 
 
-class Mapper:
+class Mapper(Stateful):
     """The map's only writer; :func:`ggwarp.pipeline.mapping.build.build_mapper` puts its parts together.
 
     Attributes:
@@ -47,6 +48,17 @@ class Mapper:
         objects: which Gaussian is of which object; None without identities.
         covisibility: what a pose sees of the map; None without a window.
     """
+
+    STATE = (
+        "map",
+        "objects",
+        "_renderer",
+        "_keyframes",
+        "_sampler",
+        "_optimiser",
+        "_depth_completion",
+        "_identity_rng",
+    )
 
     def __init__(
         self,

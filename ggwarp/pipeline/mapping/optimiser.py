@@ -23,6 +23,7 @@ from ggwarp.pipeline.mapping.exposure import ExposureModel
 from ggwarp.pipeline.mapping.keyframe import EXPOSURE, POSE, Keyframe, KeyframeBuffer, Keyframes
 from ggwarp.pipeline.mapping.keyframe_sampler import KeyframeSampler
 from ggwarp.runtime.graphs import GraphCache
+from ggwarp.runtime.state import Stateful
 from ggwarp.runtime.streams import Backlog, to_host
 
 RATES = AdamRates(means=2e-4, quats=2e-2, log_scales=2.5e-2, opacity=0.2, colours=1e-2, identities=2.5e-2)
@@ -65,12 +66,14 @@ class OptimiserConfig:
     classifier: ClassifierConfig = field(default_factory=ClassifierConfig)
 
 
-class MapOptimiser:
+class MapOptimiser(Stateful):
     """Fits a map to keyframes; the map's writer calls it.
 
     Attributes:
         iterations: so far.
     """
+
+    STATE = ("iterations", "_gaussians", "_totals")
 
     def __init__(
         self,

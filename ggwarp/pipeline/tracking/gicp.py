@@ -13,6 +13,7 @@ from ggwarp.geometry.camera import Camera
 from ggwarp.pipeline.tracking.motion_model import MotionModel, depth_time, position_std
 from ggwarp.pipeline.tracking.preprocess import Observation, ObservationConfig, observe
 from ggwarp.pipeline.tracking.relocalisation import Relocaliser, ViewConsistency
+from ggwarp.runtime.state import Stateful
 from ggwarp.runtime.streams import to_host
 from ggwarp.solvers.registration import (
     Registrar,
@@ -75,7 +76,7 @@ class GicpConfig(ObservationConfig):
     """A frame with a smaller share of points that lie on the map is lost."""
 
 
-class GicpTracker:
+class GicpTracker(Stateful):
     """Frame-to-map generalised ICP (GG-SLAM section 1a).
 
     Keeps the last good pose and the velocity itself; never reads ``Frame.T_wc``;
@@ -86,6 +87,7 @@ class GicpTracker:
         registration: of the last frame, whether it was accepted or not; None where there was none.
     """
 
+    STATE = ("_registrar", "_relocaliser", "_motion", "_target_version", "_cell_size")
     needs_gaussians = False
 
     def __init__(self, config: GicpConfig, sensor_camera: Camera, *, device: Any = "cpu") -> None:
@@ -97,6 +99,7 @@ class GicpTracker:
         self._relocaliser = Relocaliser(sensor_camera)
         self._target: RegistrationTarget | None = None
         self._target_version: int | None = None
+        self._cell_size = 0.0
         self._motion: MotionModel | None = None
         self._before: MotionModel | None = None
         self.registration: Registration | None = None
@@ -170,11 +173,12 @@ class GicpTracker:
         """Prepare the map for registration, unless it is the one already prepared."""
         if target.version != self._target_version:
             # Points without a match look through every cell in reach: a bound keeps these few.
-            cell = max(2.5 * spacing, _RADII[0] / 8.0)
+            self._cell_size = max(2.5 * spacing, _RADII[0] / 8.0)
+            self._target_version, self._target = target.version, None
+        if self._target is None:
             self._target = build_target(
-                target.means, target.quats, target.scales, cell_size=cell, device=self._device
+                target.means, target.quats, target.scales, cell_size=self._cell_size, device=self._device
             )
-            self._target_version = target.version
 
     def _search(self, frame: Frame, seen: Observation, predicted: Float64) -> _RegisteredPose:
         """Register from the prediction; where that fits badly, from wherever the camera may have been."""

@@ -15,6 +15,7 @@ from ggwarp.pipeline.tracking.gicp import MAX_POSITION_STD, GicpConfig, GicpTrac
 from ggwarp.pipeline.tracking.motion_model import depth_time, position_std
 from ggwarp.pipeline.tracking.pose_refinement import RefinementConfig, Refiner
 from ggwarp.pipeline.tracking.preprocess import SLIP
+from ggwarp.runtime.state import Stateful
 from ggwarp.solvers.alignment import Prior
 from ggwarp.types import Float32, Float64, Frame, MapSnapshot, TrackResult, Verdict
 
@@ -40,13 +41,14 @@ _MIN_NOISE = 0.05
 """Least noise that is assumed, as a share of the tracker's noise model."""
 
 
-class HybridTracker:
+class HybridTracker(Stateful):
     """G-ICP whose pose becomes a prior of direct alignment where it is uncertain.
 
     How uncertain is said by the 6x6 system and by the noise of the depth image itself, measured in it: with
     clean depth and geometry on all sides colour has nothing to add; on a wall, or with a Kinect, it has.
     """
 
+    STATE = ("_gicp", "_refiner")
     needs_gaussians = True
 
     def __init__(

@@ -18,6 +18,7 @@ from ggwarp.geometry.two_views import (
     relative_pose,
     triangulate,
 )
+from ggwarp.runtime.state import Stateful
 from ggwarp.types import Float32, Float64, Frame
 
 TRIAL = 10
@@ -61,13 +62,15 @@ class Initialisation:
     poses: dict[int, Float64]
 
 
-class MonocularInitialiser:
+class MonocularInitialiser(Stateful):
     """Waits for parallax between a first picture and a later one.
 
     Attributes:
         waiting_for: why the map has not begun, one clause.
         restarts: how often the first picture was given up for a newer one.
     """
+
+    STATE = ("_frames", "waiting_for", "restarts")
 
     def __init__(self, config: InitialisationConfig, camera: Camera) -> None:
         """``camera``: of all the pictures."""

@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from ggwarp.map.covisibility import Look, intersection_over_union
+from ggwarp.runtime.state import Stateful
 from ggwarp.types import Float64, TrackResult, Verdict
 
 
@@ -57,9 +58,10 @@ class KeyframePolicy(Protocol):
         ...
 
 
-class OverlapKeyframes:
+class OverlapKeyframes(Stateful):
     """GS-ICP-SLAM's policy: overlap with the map, and a fixed interval in between."""
 
+    STATE = ("_since_tracking",)
     needs_gaussians = False
 
     def __init__(self, config: KeyframeConfig) -> None:
@@ -100,9 +102,10 @@ class CovisibilityConfig:
     """A frame farther away than this share of the median depth is a keyframe, whatever it sees."""
 
 
-class CovisibilityKeyframes:
+class CovisibilityKeyframes(Stateful):
     """Decides by what frames see of the map (MonoGS section 3.3.1)."""
 
+    STATE = ("_last", "_since")
     needs_gaussians = True
 
     def __init__(self, config: CovisibilityConfig, look: Look) -> None:

@@ -18,6 +18,8 @@ from ggwarp.types import Float64, Frame, MapSnapshot, TrackResult, Verdict
 class MonocularTracker(PhotometricTracker):
     """Holds the first frames until their depth can be told, then tracks by colour."""
 
+    STATE = (*PhotometricTracker.STATE, "_initialiser", "_first", "_tracked", "_lost")
+
     def __init__(
         self,
         refinement: RefinementConfig,

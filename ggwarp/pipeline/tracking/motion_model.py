@@ -8,9 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ggwarp.geometry import se3
+from ggwarp.runtime.state import state_value
 from ggwarp.types import Float64, Frame
 
 
+@state_value
 @dataclass
 class MotionModel:
     """Constant velocity from the last good pose on.

@@ -8,6 +8,7 @@ from typing import Any
 from ggwarp.map.renderer import Renderer
 from ggwarp.pipeline.tracking.motion_model import MotionModel
 from ggwarp.pipeline.tracking.pose_refinement import Refined, RefinementConfig, Refiner
+from ggwarp.runtime.state import Stateful
 from ggwarp.types import Float64, Frame, MapSnapshot, TrackResult, Verdict
 
 _RENDERS = 3
@@ -20,12 +21,13 @@ _MAX_JUMP, _MAX_TURN = 0.3, 0.4
 """A frame farther from its prediction is poor, metres and radians."""
 
 
-class PhotometricTracker:
+class PhotometricTracker(Stateful):
     """Finds the pose at which the map looks like the frame; never reads ``Frame.T_wc``.
 
     Depth is compared, too, where frames have it.
     """
 
+    STATE = ("_refiner", "_motion")
     needs_gaussians = True
 
     def __init__(self, refinement: RefinementConfig, renderer: Renderer, *, device: Any = "cpu") -> None:

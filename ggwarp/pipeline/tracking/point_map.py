@@ -14,6 +14,7 @@ import numpy as np
 import warp as wp
 
 from ggwarp.geometry import se3
+from ggwarp.runtime.state import Stateful
 from ggwarp.types import Float32, Float64, FramePoints, MapSnapshot
 
 
@@ -26,8 +27,10 @@ class TrackableConfig:
     sensor's noise there."""
 
 
-class TrackableMap:
+class TrackableMap(Stateful):
     """Trackable points, world frame; grows by keyframes, never changes otherwise."""
+
+    STATE = ("_means", "_quats", "_spreads", "_version")
 
     def __init__(self, config: TrackableConfig, *, device: Any = "cpu") -> None:
         self._config = config

@@ -12,6 +12,7 @@ from ggwarp.geometry import se3
 from ggwarp.map.renderer import Renderer
 from ggwarp.pipeline.tracking.motion_model import position_std
 from ggwarp.pipeline.tracking.pose_descent import Descent
+from ggwarp.runtime.state import Stateful
 from ggwarp.solvers.alignment import INDEPENDENCE, Aligner, Prior, System
 from ggwarp.types import Exposure, Float64, Frame
 
@@ -60,8 +61,10 @@ class Refined:
         return Exposure.uniform(*self.exposure)
 
 
-class Refiner:
+class Refiner(Stateful):
     """Refines poses of one camera against one map; keeps the last exposure to start from."""
+
+    STATE = ("_exposure",)
 
     def __init__(self, config: RefinementConfig, renderer: Renderer, *, renders: int, device: Any) -> None:
         """Prepare to compare pictures with what ``renderer`` renders.

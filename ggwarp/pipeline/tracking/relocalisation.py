@@ -15,6 +15,7 @@ import numpy as np
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
+from ggwarp.runtime.state import Stateful, state_value
 from ggwarp.types import Float32, Float64, Frame
 
 MAX_CANDIDATES = 8
@@ -82,6 +83,7 @@ class ViewConsistency:
         return self.shared * (1.0 + max(self.correlation, 0.0)) * (1.0 - self.through) ** 2
 
 
+@state_value
 @dataclass(frozen=True)
 class _View:
     """A small picture: grey and depth [h, w], points [n, 3] where depth is, and those pixels' grey [n]."""
@@ -92,8 +94,10 @@ class _View:
     shades: Float32
 
 
-class Relocaliser:
+class Relocaliser(Stateful):
     """Remembers small views with their poses."""
+
+    STATE = ("_views", "_poses", "_signatures")
 
     def __init__(self, sensor_camera: Camera) -> None:
         """Remember nothing yet; frames' sensor depth is by ``sensor_camera``."""

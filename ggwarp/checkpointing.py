@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A run's checkpoints: when one is due, what it holds, and how a run goes on from one."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+import ggwarp
+from ggwarp.config import CheckpointInterval, ConfigError, ResumedRun, RunConfig
+from ggwarp.console import Display
+from ggwarp.datasets import DatasetError, FrameReader
+from ggwarp.io.toml import toml_text
+from ggwarp.pipeline.runner import Snapshot
+from ggwarp.pipeline.slam import Slam
+from ggwarp.results.checkpoints import save_checkpoint
+from ggwarp.results.record import RunRecord
+from ggwarp.results.staging import StagedFolder
+from ggwarp.runtime.state import StateError, pack, restored
+
+_MOST_TIME = 0.02
+"""Share of a run's time that checkpoints by the clock may take: after a slow one, the next comes later."""
+
+_RECORD = ("truth", "skipped", "loop_s", "refine_iterations", "refine_s")
+
+
+class Checkpoints:
+    """Writes a run's checkpoints; one that cannot be written is said, and the run goes on."""
+
+    def __init__(
+        self,
+        interval: CheckpointInterval,
+        config: RunConfig,
+        folder: StagedFolder,
+        reader: FrameReader,
+        record: RunRecord,
+        display: Display,
+        started: float,
+    ) -> None:
+        """Prepare to write.
+
+        Args:
+            config: resolved, of the whole run.
+            started: time.perf_counter() at the command's start, less what the run took before.
+        """
+        self._interval, self._folder, self._record, self._display = interval, folder, record, display
+        self._config = toml_text(dataclasses.replace(config, out=None))
+        self._camera = dataclasses.asdict(reader.camera)
+        self._started = started
+        self._steps = self._last_step = 0
+        self._last_time, self._cost_s = time.perf_counter(), 0.0
+        self._written: tuple[int, int] | None = None
+        self._failing = False
+
+    def due(self) -> bool:
+        """Return whether one is due; ask after every frame, and after every iteration of a refinement."""
+        every, steps = self._interval, self._steps
+        self._steps += 1
+        if every.frames:
+            due = steps - self._last_step >= every.frames
+        else:
+            wait = max(every.seconds, self._cost_s / _MOST_TIME)
+            due = every.seconds > 0.0 and time.perf_counter() - self._last_time >= wait
+        if due:
+            self._last_step, self._last_time = steps, time.perf_counter()
+        return due
+
+    def write(self, snapshot: Snapshot) -> None:
+        """Write a checkpoint of ``snapshot`` and of what the record has by now."""
+        started = time.perf_counter()
+        tree: dict[str, Any] = {
+            "ggwarp": ggwarp.__version__,
+            "config": self._config,
+            "target": self._folder.target.name,
+            "linked": self._folder.linked,
+            "camera": self._camera,
+            "record": {name: pack(getattr(self._record, name)) for name in _RECORD}
+            | {"frames": self._progress[0], "wall_s": time.perf_counter() - self._started},
+            "tracking": snapshot.tracking,
+            "mapping": snapshot.mapping,
+        }
+        try:
+            save_checkpoint(self._folder.path, tree)
+        except OSError as error:
+            self._folder.name_target(error)
+            if not self._failing:
+                where = f"{error.filename}: " if error.filename else ""
+                self._display.warn(f"no checkpoint: {where}{error.strerror or error}; the run goes on")
+            self._failing = True
+        else:
+            self._written, self._failing = self._progress, False
+        self._last_time = time.perf_counter()
+        self._cost_s = self._last_time - started
+
+    def finish(self, slam: Slam) -> None:
+        """Write the last one, from which a run that is done can go on; not after a failure."""
+        off = self._interval.is_off or not slam.has_state or self._record.failure is not None
+        if not off and self._written != self._progress:
+            self.write(Snapshot(slam.tracking_state(), slam.mapping_state()))
+
+    @property
+    def _progress(self) -> tuple[int, int]:
+        record = self._record
+        return len(record.reports) + len(record.skipped), record.refine_iterations
+
+
+def staged_folder(config: RunConfig, resumed: ResumedRun | None, name: str) -> StagedFolder:
+    """Return the folder that a run of the sequence ``name`` writes into.
+
+    Raises:
+        OSError: see :class:`ggwarp.results.staging.StagedFolder`.
+    """
+    if resumed is None:
+        return StagedFolder(config.out, name)
+    out = config.out or resumed.target
+    same = os.path.realpath(out) == os.path.realpath(resumed.target)
+    adopted = Path(os.path.realpath(resumed.folder)) if same and resumed.adopted else None
+    return StagedFolder(out, name, adopted=adopted, linked=same and resumed.linked)
+
+
+def go_on(
+    resumed: ResumedRun,
+    config: RunConfig,
+    slam: Slam,
+    record: RunRecord,
+    reader: FrameReader,
+    display: Display,
+) -> RunConfig:
+    """Bring ``slam`` and ``record`` to where the run was.
+
+    Args:
+        config: of the rest of the run.
+        reader: of all frames of the run, those done before first.
+
+    Returns:
+        The configuration of the whole run.
+
+    Raises:
+        ConfigError: the sequence or the frames are others, or the checkpoint does not fit.
+        DatasetError: a keyframe's frame cannot be read any more.
+    """
+    for fault in resumed.faults:
+        display.warn(f"{fault}; the checkpoint before it is taken")
+    _restore(resumed, slam, record, reader)
+    done = sorted([*(r.index for r in record.reports), *record.skipped])
+    if reader.indices[: len(done)] != done:
+        raise ConfigError(
+            f"--frames {config.frames}: the run has {len(done)} frames behind it, {done[0]} to {done[-1]}; "
+            "give the frames that it began with, or more"
+        )
+    display.note(f"going on after {len(done)} of {len(reader)} frames, from {resumed.folder}")
+    if config.device != resumed.config.device:
+        display.note(f"on {config.device}, not {resumed.config.device}: results differ in their last bits")
+    return dataclasses.replace(config, refine=record.refine_iterations + config.refine)
+
+
+def _restore(resumed: ResumedRun, slam: Slam, record: RunRecord, reader: FrameReader) -> None:
+    what, tree = f"--resume {resumed.folder}", resumed.tree
+    try:
+        if tree["camera"] != dataclasses.asdict(reader.camera):
+            raise StateError("the sequence's camera is not the one that it was")
+        for name in _RECORD:
+            setattr(record, name, restored(getattr(record, name), tree["record"][name], reader.read))
+        slam.restore(tree["tracking"], tree["mapping"], reader.read)
+        record.reports = list(slam.reports)
+    except StateError as error:
+        raise ConfigError(f"{what}: {error}; give the recording that it began with") from None
+    except DatasetError:
+        raise
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, RuntimeError) as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise ConfigError(f"{what}: its checkpoint is not as this version writes it ({reason})") from None
