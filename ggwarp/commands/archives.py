@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import errno
 import gzip
 import lzma
 import os
@@ -14,6 +15,8 @@ import zlib
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 from typing import IO, Any
+
+from ggwarp.io.printable import printable, shortened
 
 _CHUNK = 1 << 20
 _RESERVE = 64 << 20
@@ -79,9 +82,10 @@ def unpack(archive: Path, folder: Path, *, wanted: tuple[str, ...], needed: Path
             raise DownloadError(f"{archive}: holds no {needed.relative_to(folder)}")
         _merge(staging, folder)
     except (*_DAMAGE, OSError) as error:
-        if isinstance(error, OSError) and error.errno is not None:
+        # To seek where nothing is, as a damaged list of contents asks for, is an invalid argument.
+        if isinstance(error, OSError) and error.errno not in (None, errno.EINVAL):
             raise  # the disk's, not the archive's
-        reason = f"{type(error).__name__}: {error}".removesuffix(": ")
+        reason = shortened(printable(f"{type(error).__name__}: {error}".removesuffix(": ")))
         raise DownloadError(
             f"{archive}: is damaged ({reason}); run the same command to fetch it again"
         ) from error

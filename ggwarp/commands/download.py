@@ -239,6 +239,10 @@ def main(arguments: list[str] | None = None) -> int:
     except DownloadError as error:
         print(f"ggwarp download: {printable(str(error))}", file=sys.stderr)
         return 2
+    except OSError as error:  # of the disk
+        where = f"{error.filename}: " if error.filename else ""
+        print(f"ggwarp download: {printable(f'{where}{error.strerror or error}')}", file=sys.stderr)
+        return 2
     except KeyboardInterrupt:
         print("stopped; run the same command to go on", file=sys.stderr)
         return 130

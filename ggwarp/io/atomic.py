@@ -51,6 +51,7 @@ def atomic_write(path: str | Path) -> Iterator[BinaryIO]:
         os.replace(part, path)
     except OSError as error:
         if error.errno in _FULL:
+            part.unlink(missing_ok=True)  # else it counts against what is free
             error.strerror = f"{error.strerror}{_room(path.parent, counted.size if counted else 0)}"
         if error.filename is None or os.fspath(error.filename) == str(part):
             error.filename = str(path)  # a full disk gives none

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ggwarp.io.atomic import atomic_write
 from ggwarp.io.guarded import MAP, open_file
+from ggwarp.io.printable import printable, shortened
 from ggwarp.map.gaussians import Gaussians
 from ggwarp.types import Float32
 
@@ -163,18 +164,22 @@ def _read_header(file: BinaryIO, path: str | Path) -> tuple[int, np.dtype]:
                 return count, np.dtype(fields)
             case ["format", kind, _]:
                 if kind not in _ORDER:
-                    raise PlyError(f"{path}: format {kind}; only binary files are read: export it as binary")
+                    raise PlyError(
+                        f"{path}: format {_said(kind)}; only binary files are read: export it as binary"
+                    )
                 order = _ORDER[kind]
             case ["element", element, number]:
                 if element == "vertex" and number.isdigit():
                     count = int(number)
                 elif count < 0:
-                    raise PlyError(f"{path}: element {element} comes before the vertices: not a Gaussian map")
+                    raise PlyError(
+                        f"{path}: element {_said(element)} comes before the vertices: not a Gaussian map"
+                    )
             case ["property", kind, name] if element == "vertex":
                 if kind not in _TYPES:
-                    raise PlyError(f"{path}: property {name} has the unknown type {kind}")
+                    raise PlyError(f"{path}: property {_said(name)} has the unknown type {_said(kind)}")
                 if name in dict(fields):
-                    raise PlyError(f"{path}: property {name} occurs twice")
+                    raise PlyError(f"{path}: property {_said(name)} occurs twice")
                 if len(fields) == _MOST_PROPERTIES:
                     raise PlyError(f"{path}: has more than {_MOST_PROPERTIES} properties: not a Gaussian map")
                 fields.append((name, order + _TYPES[kind]))
@@ -185,3 +190,8 @@ def _read_header(file: BinaryIO, path: str | Path) -> tuple[int, np.dtype]:
             case _:
                 break
     raise PlyError(f"{path}: its PLY header is malformed or cut short")
+
+
+def _said(word: str) -> str:
+    """Return a word of the header as a message shows it."""
+    return shortened(printable(word))

@@ -25,5 +25,9 @@ def shown(value: Any) -> str:
         text = repr(value)
     except (ValueError, RecursionError):  # a number of thousands of digits; lists in lists in lists
         return f"a {type(value).__name__} beyond all bounds"
-    text = printable(text)
-    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 20]}... ({len(text):,} characters)"
+    return shortened(printable(text))
+
+
+def shortened(text: str, most: int = _LONGEST) -> str:
+    """Return ``text`` with its end left out where it has more than about ``most`` characters."""
+    return text if len(text) <= most else f"{text[: most - 20]}... ({len(text):,} characters)"

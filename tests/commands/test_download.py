@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """ggwarp download against a server on this machine: resuming, refusing, unpacking."""
 
+import errno
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -252,3 +253,12 @@ def test_the_library_call_says_where_the_sequence_is(server: Server, tmp_path: P
     server.content = make_tgz(files_of(TUM))
     source = download.find_source("tum", TUM, tmp_path, server.url("a.tgz"))
     assert download.fetch(source, Console(quiet=True)) == tmp_path / "TUM" / TUM
+
+
+def test_a_disk_that_refuses_is_said_in_one_line(tmp_path, monkeypatch, capsys):
+    def refuse(source, console):
+        raise OSError(errno.EROFS, "Read-only file system", str(tmp_path / "Replica"))
+
+    monkeypatch.setattr(download, "fetch", refuse)
+    assert download.main(["replica", "office0", "--data", str(tmp_path)]) == 2
+    assert capsys.readouterr().err == f"ggwarp download: {tmp_path / 'Replica'}: Read-only file system\n"
