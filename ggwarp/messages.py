@@ -4,15 +4,24 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import sys
 import traceback
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from ggwarp.config import RunConfig
 from ggwarp.datasets import BUILT_IN, Dataset, DatasetError
 from ggwarp.io.printable import printable
-from ggwarp.types import StepReport
+from ggwarp.types import StepReport, Verdict
+
+_FEW_READINGS = 0.02
+"""Share of pixels with depth below which there are too few points to track."""
+_NEAR = 0.1
+"""Metres: nearer depth is not used by tracking."""
+_UNIT = "is the depth's unit right?"
 
 
 def introduction(asked: RunConfig, config: RunConfig, dataset: Dataset, frames: int) -> Iterator[str]:
@@ -49,6 +58,36 @@ def status(step: StepReport, fps: float) -> str:
     )
 
 
+def total_failure(reports: Sequence[StepReport], plan: Mapping[str, Any], far: float | None) -> str:
+    """Return why a run that ended has tracked or mapped nothing, with the likely cause; empty: it has.
+
+    Args:
+        plan: how the sequence was read, as ``metrics.json`` has it.
+        far: metres beyond which depth is not used; None: there is no depth.
+    """
+    lost = [r for r in reports if r.verdict is Verdict.LOST]
+    empty = bool(reports) and reports[-1].gaussians == 0
+    if not (empty or (len(reports) > 2 and len(lost) >= len(reports) - 1)):
+        return ""
+    what = "the map is empty" if empty else f"{len(lost)} of {len(reports)} frames were lost"
+    median, valid = plan.get("median_depth_m"), plan.get("valid_depth")
+    if far is not None and valid is not None and valid < _FEW_READINGS:
+        cause = f"only {100.0 * valid:.2g} % of the pixels have a depth reading"
+    elif far is not None and median is not None and median > far:
+        cause = (
+            f"the median depth is {median:.3g} m, and beyond --gicp.far {far:g} depth is not used: {_UNIT}"
+        )
+    elif far is not None and median is not None and median < _NEAR:
+        cause = f"the median depth is {median:.3g} m, and nearer than {_NEAR:g} m it is not used: {_UNIT}"
+    elif plan.get("warnings"):
+        cause = str(plan["warnings"][0])
+    else:
+        reasons = Counter(re.sub(r"[\d.]+", "N", r.reason) for r in lost)
+        common = next((reason for reason, _ in reasons.most_common(1)), "")
+        cause = next((r.reason for r in lost if re.sub(r"[\d.]+", "N", r.reason) == common), "")
+    return f"{what}; likely: {cause}" if cause else what
+
+
 def lateness(reports: Sequence[StepReport]) -> str:
     """Return how late frames were taken up; empty where none was."""
     late = [r for r in reports if r.late_ms > 0.0]
@@ -58,6 +97,12 @@ def lateness(reports: Sequence[StepReport]) -> str:
     waiting = f", with up to {behind} newer ones waiting" if behind else ""
     worst = max(r.late_ms for r in late)
     return f"{len(late)} of {len(reports)} frames were taken up late, by up to {worst:.0f} ms{waiting}"
+
+
+def say_error(line: str) -> None:
+    """Print a line as an error, where there still is a terminal."""
+    with contextlib.suppress(OSError):
+        print(f"ggwarp: {printable(line)}", file=sys.stderr)
 
 
 def explain(what: str, reason: BaseException, *, silent: bool = False) -> str:

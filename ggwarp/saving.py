@@ -72,6 +72,22 @@ class Saver:
             return "nowhere: no folder could take them"
         return f"{self.folder}, as {self._target} could not take it" if self.moved else str(self.folder)
 
+    def judge(self, far: float | None) -> None:
+        """Say and keep where the run has tracked or mapped nothing, though no part of it failed.
+
+        Args:
+            far: metres beyond which depth is not used; None: there is no depth.
+        """
+        if cause := messages.total_failure(self._record.reports, self._record.plan, far):
+            self._display.close()
+            self._record.failures.append(cause)
+            messages.say_error(cause)
+
+    def warn_of_truth(self) -> None:
+        """Say which convention the truth seems to be written by, where it is another one."""
+        if doubt := self.metrics.get("truth_doubt"):
+            self._display.warn(doubt)
+
     def save(self, slam: run_folder.System) -> None:
         """Write the run and put it where it belongs.
 

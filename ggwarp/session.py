@@ -122,8 +122,7 @@ class Session:
         self._indices = frame_indices(config.frames, len(dataset))
         self._name = seq if dataset.kind == "synthetic" else dataset.name
         self.folder = staged_folder(config, self._resumed, self._name)
-        plan = plan_sequence(self._dataset, self._indices)
-        self._plan = plan.to_json()
+        self._plan = (plan := plan_sequence(self._dataset, self._indices)).to_json()
         for line in (*plan.lines(), *messages.introduction(asked, config, dataset, len(self._indices))):
             display.note(line)
         for line in plan.warnings:
@@ -232,6 +231,8 @@ class Session:
             self._saver.failed(str(record.failure), record.failure.__cause__ or record.failure)
         self._checkpoints.finish(self._slam)
         record.correct(self._slam.fitted_poses())
+        if not self._ended:
+            self._saver.judge(self.config.slam.gicp.far if self._dataset.has_depth else None)
 
     def save(self) -> None:
         """Write all but what comes of comparing pictures; a part that fails is said, the rest is written."""
@@ -264,6 +265,7 @@ class Session:
             display.conclude(f"interrupted after {share}; saved in {where}")
             return self._interruption.exit_code
         display.results(self._saver.metrics, RESULTS)
+        self._saver.warn_of_truth()
         if self._saver.moved:
             display.conclude(f"saved in {where}")
             return FAILED

@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import io
+import re
 import textwrap
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +20,7 @@ from ggwarp.config.presets import load_config, preset_config
 from ggwarp.config.resumed_run import ResumedRun, check_changes, open_resumed
 from ggwarp.config.run_config import ConfigError, RunConfig, check
 from ggwarp.console import Verbosity
+from ggwarp.io.suggestion import did_you_mean
 from ggwarp.pipeline.tracking.tracker import TrackerError
 
 _COLUMNS = 100
@@ -119,7 +121,17 @@ def _parsed(arguments: list[str], default: Command) -> Command:
         if stop.code == 0:  # --help
             raise
         reason = _first_sentence(complaint.getvalue())
-        raise ConfigError(f"{reason} (--help-all lists the options)") from None
+        raise ConfigError(f"{reason}{_meant(reason)} (--help-all lists the options)") from None
+
+
+def _meant(reason: str) -> str:
+    """Return the option, or its value, nearest to a mistyped one in ``reason``; empty: none is near."""
+    options = option_table()
+    if unknown := re.search(r"Unrecognized options: (--[\w.-]+)", reason):
+        return did_you_mean(unknown[1], [option.flag for option in options])
+    if wrong := re.search(r"invalid choice '(.*?)' for argument '(--[\w.-]+)'", reason):
+        return did_you_mean(wrong[1], next((o.choices for o in options if o.flag == wrong[2]), ()))
+    return ""
 
 
 def short_help() -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ggwarp.config.run_config import ConfigError, RunConfig
+from ggwarp.io.suggestion import did_you_mean
 from ggwarp.io.toml import TomlError, merged, read_toml
 from ggwarp.pipeline.slam import SlamConfig
 from ggwarp.pipeline.tracking.tracker import TrackerError
@@ -21,7 +22,8 @@ def preset_config(name: str) -> RunConfig:
         ConfigError: there is no such preset.
     """
     if name not in _PRESETS:
-        raise ConfigError(f"--preset {name}: no such preset; choose one of {', '.join(_PRESETS)}")
+        meant = did_you_mean(name, _PRESETS)
+        raise ConfigError(f"--preset {name}: no such preset{meant}; choose one of {', '.join(_PRESETS)}")
     config = RunConfig()
     slam = _PRESETS[name](config.slam)
     return dataclasses.replace(config, slam=slam, preset=name)  # pyright: ignore[reportArgumentType]

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import itertools
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,7 @@ from ggwarp.datasets.base import (
     WithoutMasks,
     register,
 )
+from ggwarp.io.suggestion import did_you_mean
 
 if TYPE_CHECKING:
     from ggwarp.datasets.built_in.faults import SensorFaults
@@ -64,6 +66,9 @@ OWN_KINDS = (
 """The modules of the layouts that are read, in the order they are tried."""
 FALLBACK = "office0"
 """The one sequence that the built-in office stands in for where Replica is absent."""
+
+_MOST_PLACES = 5  # that a message names
+_MOST_ENTRIES = 10_000  # of a folder that are compared with a name
 
 # What needs OpenCV or Warp is imported when first used.
 _LAZY = {
@@ -128,7 +133,7 @@ def open_dataset(
     if seq == FALLBACK:
         return _built_in(seq, masks, faults)
     raise DatasetError(
-        f"{seq}: no such sequence; looked for {', '.join(map(str, candidates))} "
+        f"{seq}: no such sequence{_suggestion(seq, candidates)}; looked for {_places(candidates)} "
         f"(--data names another data root, ggwarp download fetches one, --seq office is built in)"
     )
 
@@ -152,6 +157,21 @@ def _candidates(seq: str, root: Path) -> list[Path]:
     if root.is_dir():
         groups += sorted(path for path in root.iterdir() if path.is_dir() and path not in groups)
     return [group / name for name in names for group in groups] + [given]
+
+
+def _suggestion(seq: str, candidates: list[Path]) -> str:
+    """Return the nearest name of what is there, beside each of the ``candidates``; empty: none is near."""
+    there: set[str] = set()
+    for parent in dict.fromkeys(path.parent for path in candidates):
+        with contextlib.suppress(OSError, ValueError):
+            there |= {entry.name for entry in itertools.islice(parent.iterdir(), _MOST_ENTRIES)}
+    return did_you_mean(Path(seq).name, there.union(BUILT_IN, [FALLBACK]))
+
+
+def _places(candidates: list[Path]) -> str:
+    shown = ", ".join(str(path) for path in candidates[:_MOST_PLACES])
+    more = len(candidates) - _MOST_PLACES
+    return f"{shown} and {more} places more" if more > 0 else shown
 
 
 def _no_intrinsics(what: str, intrinsics: Intrinsics | None) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ggwarp.evaluation.conventions import doubt_of_truth
 from ggwarp.evaluation.evaluate import Scores
 from ggwarp.evaluation.trajectory import TrajectoryError, absolute_error, relative_error, to_scale
 from ggwarp.results.record import RunRecord
@@ -102,6 +103,7 @@ def metrics_of(record: RunRecord, *, wall_s: float, gaussians: int | None) -> di
         "rpe_rmse_cm": None if rpe is None else 100.0 * rpe.rmse,
         "alignment": None if ate is None else "sim3" if record.monocular else "se3",
         "scale": scale if record.monocular else None,
+        "truth_doubt": _truth_doubt(record) or None,
         **_figures(record.evaluation.all_frames, (*_IMAGE_FIGURES, *_OBJECT_FIGURES)),
         **_figures(record.evaluation.held_out, _IMAGE_FIGURES, "heldout_"),
         "miou_against": record.evaluation.miou_against,
@@ -147,6 +149,16 @@ def _trajectory_errors(
     if record.monocular:
         estimated, scale = to_scale(estimated, true)
     return absolute_error(estimated, true), relative_error(estimated, true), scale
+
+
+def _truth_doubt(record: RunRecord) -> str:
+    """Return which convention explains why truth and estimate disagree; empty: none, or they agree."""
+    known = [r for r in record.reports if r.index in record.truth and r.verdict is not Verdict.LOST]
+    if not known:
+        return ""
+    estimated = np.stack([r.T_wc for r in known])
+    true = np.stack([record.truth[r.index] for r in known])
+    return doubt_of_truth(to_scale(estimated, true)[0] if record.monocular else estimated, true)
 
 
 def ate_per_frame(record: RunRecord) -> dict[int, float]:

@@ -115,6 +115,21 @@ def test_an_unknown_name_says_where_it_was_sought(tmp_path: Path) -> None:
     assert str(tmp_path / "Replica" / "room77") in str(error.value) and "--data" in str(error.value)
 
 
+def test_a_mistyped_name_is_told_the_nearest(make_replica: Maker, tmp_path: Path) -> None:
+    make_replica(2, name="kitchen7")
+    for typed, meant in (
+        ("kichen7", "kitchen7"),
+        ("offfice", "office"),
+        (str(tmp_path / "Replca"), "Replica"),
+    ):
+        with pytest.raises(DatasetError, match=rf"no such sequence \(did you mean {meant}\?\); looked for"):
+            open_dataset(typed, data_root=tmp_path)
+    for number in range(9):
+        (tmp_path / f"group{number}").mkdir()
+    with pytest.raises(DatasetError, match=r"zzz and 8 places more \(--data"):
+        open_dataset("zzz", data_root=tmp_path)
+
+
 def test_a_file_is_no_sequence(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").touch()
     with pytest.raises(DatasetError, match=r"is a file; .* or a video \(\.mp4"):
