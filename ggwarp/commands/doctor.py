@@ -26,6 +26,7 @@ _ESSENTIAL = {
     "torch": "torch",
     "numpy": "numpy",
     "opencv": "opencv-python-headless",
+    "simplejpeg": "simplejpeg",
     "scikit-image": "scikit-image",
     "scipy": "scipy",
     "tyro": "tyro",

@@ -18,9 +18,8 @@ from ggwarp.datasets.formats.headers import EXR_SIGNATURE, PNG_SIGNATURE, size_i
 from ggwarp.datasets.formats.jpeg import (
     JPEG_SIGNATURE,
     JpegError,
-    check_codes,
     check_markers,
-    may_lack_data,
+    decode_jpeg,
     quarter_turns,
 )
 from ggwarp.io import guarded
@@ -112,23 +111,29 @@ def png_chunks(data: bytes, path: Path) -> Iterator[tuple[bytes, bytes]]:
 
 
 def decode(data: bytes, path: Path, flags: int) -> NDArray:
-    """Decode an image file's bytes with OpenCV, having checked that its header is sound.
+    """Decode an image file's bytes, having checked that its header is sound.
+
+    Args:
+        flags: OpenCV's; a JPEG picture is grey or colour, and never turned.
 
     Raises:
-        FrameError: OpenCV cannot.
+        FrameError: it is damaged, or of a kind that cannot be read.
     """
     size_in_header(data, path)
+    if data.startswith(JPEG_SIGNATURE):
+        try:
+            image = decode_jpeg(data)
+        except JpegError as error:
+            raise FrameError(f"{path}: {error}; copy it again") from error
+        if image is not None:
+            colour = image.ndim == 2 and flags & cv2.IMREAD_COLOR and flags >= 0
+            return cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if colour else image
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error:
         image = None
     if image is None:
         raise FrameError(f"{path}: is not an image that OpenCV can read")
-    if data.startswith(JPEG_SIGNATURE) and may_lack_data(np.asarray(image)):
-        try:
-            check_codes(data)
-        except JpegError as error:
-            raise FrameError(f"{path}: {error}; copy it again") from error
     return image
 
 

@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from ggwarp.datasets import FrameError
-from ggwarp.datasets.formats.jpeg import JpegError, check_codes, check_markers
+from ggwarp.datasets.formats.jpeg import JpegError, check_markers, decode_jpeg
 from ggwarp.datasets.formats.mask_file import read_mask
 from ggwarp.datasets.images import read_colour, read_depth
 
@@ -42,12 +42,12 @@ def save(path: Path, data: bytes) -> Path:
 
 @pytest.mark.parametrize("grey", [False, True])
 @pytest.mark.parametrize("form", FORMS)
-def test_a_whole_jpeg_has_all_its_codes(form: str, grey: bool) -> None:
+def test_a_whole_jpeg_is_decoded_as_by_opencv(form: str, grey: bool) -> None:
     image = picture()[..., 0] if grey else picture()
     data = encoded(".jpg", image, FORMS[form])
     check_markers(data)
-    check_codes(data)
-    check_codes(encoded(".jpg", np.full_like(image, 128), FORMS[form]))
+    np.testing.assert_array_equal(decode_jpeg(data), cv2.imdecode(np.frombuffer(data, np.uint8), -1))
+    assert decode_jpeg(encoded(".jpg", np.full_like(image, 128), FORMS[form])) is not None
 
 
 @pytest.mark.parametrize("share", [0.45, 0.6, 0.75, 0.9])
@@ -59,6 +59,32 @@ def test_a_jpeg_cut_short_and_ended_is_refused(tmp_path: Path, form: str, share:
     path = save(tmp_path / "a.jpg", whole[: begin + int(share * (len(whole) - begin))] + b"\xff\xd9")
     with pytest.raises(FrameError, match=r"a\.jpg: is truncated"):
         read_colour(path)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_jpeg_damaged_in_its_middle_is_refused(tmp_path: Path, capfd, form: str) -> None:
+    """Of 40 places where a piece is left out, all but a few: the codes may fall into step again."""
+    whole = encoded(".jpg", cv2.resize(picture(), (300, 200)), FORMS[form])
+    begin, refused = whole.index(b"\xff\xda") + 20, 0
+    places = np.linspace(begin, len(whole) - 300, 40).astype(int).tolist()
+    for at in places:
+        path = save(tmp_path / "a.jpg", whole[:at] + whole[at + 256 :])
+        try:
+            read_colour(path)
+        except FrameError as error:
+            refused += "is damaged" in str(error) or "is truncated" in str(error)
+    assert refused >= 0.9 * len(places) and capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("padding", [b"\0" * 7, b"\xff\0\0"])
+def test_codes_that_a_camera_padded_are_whole(tmp_path: Path, capfd, padding: bytes) -> None:
+    data = encoded(".jpg", picture())
+    want = read_colour(save(tmp_path / "a.jpg", data))
+    padded = data[:-2] + padding + data[-2:]
+    np.testing.assert_array_equal(read_colour(save(tmp_path / "b.jpg", padded)), want)
+    with pytest.raises(FrameError, match=r"b\.jpg: is damaged \(2 extraneous bytes"):
+        read_colour(save(tmp_path / "b.jpg", data[:-2] + b"too many!" + data[-2:]))
+    assert capfd.readouterr().err == ""
 
 
 def test_a_progressive_jpeg_without_its_last_scans_is_refused(tmp_path: Path) -> None:
@@ -90,7 +116,7 @@ def test_what_follows_a_jpeg_is_left_alone(tmp_path: Path) -> None:
 def test_a_changed_byte_never_breaks_the_checks(at: float, value: int, form: str) -> None:
     data = bytearray(encoded(".jpg", picture(), FORMS.get(form, PROGRESSIVE)))
     data[min(int(at * len(data)), len(data) - 1)] = value
-    for check in (check_markers, check_codes):
+    for check in (check_markers, decode_jpeg):
         try:
             check(bytes(data))
         except JpegError as error:

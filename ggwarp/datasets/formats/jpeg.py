@@ -1,19 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a JPEG file is whole.
+"""JPEG files, and whether one is whole.
 
-libjpeg fills what is missing with grey and prints a line to standard error, without the file's name. So
-the markers are looked at here, and where a picture ends in that grey, the codes of its scan are counted.
-Terms are those of ITU T.81: a scan holds the codes of minimum coded units (MCUs), each a few blocks of 8x8
-values.
+OpenCV decodes a damaged one in part, and its libjpeg prints a line to standard error, without the file's
+name. simplejpeg has the same libjpeg-turbo, the same pixels, and says what is wrong. What libjpeg takes for
+whole, a file without its end or a progressive picture without its last scans, shows in the markers. Damage
+after which the codes fall into step again, and end where they should, shows nowhere. Terms are those of
+ITU T.81.
 """
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import simplejpeg
 from numpy.typing import NDArray
 
 JPEG_SIGNATURE = b"\xff\xd8"
@@ -24,11 +27,8 @@ _EXIF = 0xE1
 _RESTARTS = range(0xD0, 0xD8)
 _ALONE = {0x01, 0xD8, *_RESTARTS}  # markers without a content
 _FRAMES = {*range(0xC0, 0xD0)} - {_TABLES, 0xC8, 0xCC}
-_BASELINE = {0xC0, 0xC1}
 _PROGRESSIVE = 0xC2
-
-GREY = 128
-"""What libjpeg makes of blocks that are not there, in every channel."""
+_PADDING = re.compile(r"Corrupt JPEG data: (\d+) extraneous bytes before marker 0xd9")
 
 
 class JpegError(ValueError):
@@ -103,34 +103,48 @@ def check_markers(data: bytes) -> None:
         raise JpegError("is truncated: scans are missing")
 
 
-def may_lack_data(image: NDArray) -> bool:
-    """Return whether the decoded ``image`` [h, w] or [h, w, 3] ends as a picture does whose codes ran out."""
-    return bool((image[-1, -1] == GREY).all())
+def decode_jpeg(data: bytes) -> NDArray[np.uint8] | None:
+    """Decode a whole JPEG file.
 
-
-def check_codes(data: bytes) -> None:
-    """Check that the codes of a baseline picture last to its end; others are taken to be whole.
-
-    Reads every code, a tenth of a second for a picture of a megapixel.
+    Returns:
+        [h, w] grey or [h, w, 3] blue, green, red; None: it is of a kind that only OpenCV may know.
 
     Raises:
-        JpegError: they run out, or one is no code.
+        JpegError: it is damaged.
     """
-    tables: dict[int, list[int]] = {}
-    frame = b""
-    interval = 0
-    for segment in _segments(data):
-        content = segment.content
-        if segment.marker in _FRAMES:
-            if segment.marker not in _BASELINE or len(content) < 6 + 3 * content[5]:
-                return
-            frame = content
-        elif segment.marker == _TABLES:
-            tables |= _code_tables(content)
-        elif segment.marker == 0xDD and len(content) >= 2:
-            interval = int.from_bytes(content[:2], "big")
-        elif segment.marker == _START_OF_SCAN and frame:
-            _check_scan(data, segment, frame, tables, interval)
+    try:
+        space = simplejpeg.decode_jpeg_header(data)[2]
+    except ValueError:
+        return None
+    if space not in ("Gray", "YCbCr", "RGB"):
+        return None
+    wanted = "GRAY" if space == "Gray" else "BGR"
+    try:
+        image = simplejpeg.decode_jpeg(data, colorspace=wanted, strict=True)
+    except ValueError as error:
+        if not _is_harmless(str(error), data):
+            raise JpegError(_fault(str(error))) from None
+        try:
+            image = simplejpeg.decode_jpeg(data, colorspace=wanted, strict=False)
+        except ValueError as failure:
+            raise JpegError(_fault(str(failure))) from None
+    return image[..., 0] if wanted == "GRAY" else image
+
+
+def _is_harmless(warning: str, data: bytes) -> bool:
+    """Return whether libjpeg's ``warning`` is none of the picture: some cameras pad the codes of a frame."""
+    if "JFIF" in warning or "Adobe" in warning:  # a version of their headers that is not known
+        return True
+    padding = _PADDING.fullmatch(warning)
+    end = data.rfind(bytes([0xFF, _END]))
+    return padding is not None and not data[max(0, end - int(padding[1])) : end].strip(b"\x00\xff")
+
+
+def _fault(warning: str) -> str:
+    """Return libjpeg's ``warning`` as a clause of our own."""
+    if "premature end" in warning.lower():
+        return "is truncated: its codes run out before the picture does"
+    return f"is damaged ({warning.removeprefix('Corrupt JPEG data: ')})"
 
 
 def _segments(data: bytes) -> Iterator[_Segment]:
@@ -150,92 +164,3 @@ def _segments(data: bytes) -> Iterator[_Segment]:
             raise JpegError("is truncated")
         yield _Segment(marker, data[at + 4 : end], end)
         at = end
-
-
-def _code_tables(content: bytes) -> dict[int, list[int]]:
-    """Return class and number -> [65536] by the next 16 bits: 256 x length of code + symbol; 0 = no code."""
-    found, at = {}, 0
-    while at + 17 <= len(content):
-        counts = content[at + 1 : at + 17]
-        symbols = content[at + 17 : at + 17 + sum(counts)]
-        table = np.zeros(1 << 16, np.int32)
-        code, k = 0, 0
-        for length, count in enumerate(counts, 1):
-            width = 1 << (16 - length)
-            for symbol in symbols[k : k + count]:
-                table[code : code + width] = 256 * length + symbol
-                code += width
-            k += count
-        found[content[at]] = table.tolist()
-        at += 17 + sum(counts)
-    return found
-
-
-def _check_scan(
-    data: bytes, scan: _Segment, frame: bytes, tables: dict[int, list[int]], interval: int
-) -> None:
-    height, width = (int.from_bytes(frame[i : i + 2], "big") for i in (1, 3))
-    shapes = {frame[i]: (frame[i + 1] >> 4, frame[i + 1] & 15) for i in range(6, 6 + 3 * frame[5], 3)}
-    count = scan.content[0]
-    if len(scan.content) < 4 + 2 * count:
-        raise JpegError("is damaged: the header of a scan is cut short")
-    chosen = [(scan.content[1 + 2 * i], scan.content[2 + 2 * i]) for i in range(count)]
-    try:
-        selected = [(shapes[c], tables[t >> 4], tables[0x10 | t & 15]) for c, t in chosen]
-        across, down = (max(shape[i] for shape in shapes.values()) for i in (0, 1))
-        if count == 1:  # not interleaved: its own blocks, however they are sampled
-            h, v = selected[0][0]
-            columns, rows = -(-width * h // (8 * across)), -(-height * v // (8 * down))
-            blocks = [selected[0][1:]]
-        else:
-            columns, rows = -(-width // (8 * across)), -(-height // (8 * down))
-            blocks = [entry[1:] for entry in selected for _ in range(entry[0][0] * entry[0][1])]
-    except (KeyError, ZeroDivisionError):
-        raise JpegError("is damaged: a scan names what is not there") from None
-    left = columns * rows
-    for codes in _intervals(data, scan.end):
-        units = min(left, interval or left)
-        _check_interval(codes, blocks, units)
-        left -= units
-        if not left:
-            return
-    raise JpegError("is truncated: a part of the picture is missing")
-
-
-def _intervals(data: bytes, start: int) -> Iterator[bytes]:
-    """Yield the codes between restart markers from ``start`` on, without their stuffing."""
-    at = begin = start
-    while 0 <= (at := data.find(b"\xff", at)) < len(data) - 1:
-        marker = data[at + 1]
-        if marker == 0x00:
-            at += 2
-        elif marker == 0xFF:
-            at += 1
-        else:
-            yield data[begin:at].replace(b"\xff\x00", b"\xff")
-            if marker not in _RESTARTS:
-                return
-            at = begin = at + 2
-
-
-def _check_interval(codes: bytes, blocks: list[tuple[list[int], list[int]]], units: int) -> None:
-    """Walk the codes of ``units`` MCUs, each of ``blocks``: (table of first codes, table of the others)."""
-    padded = np.frombuffer(codes + bytes(4), np.uint8).astype(np.int64)
-    windows = ((padded[:-2] << 16) | (padded[1:-1] << 8) | padded[2:]).tolist()
-    at, end = 0, 8 * len(codes)
-    for _ in range(units):
-        for first, others in blocks:
-            if at >= end:
-                raise JpegError("is truncated: its codes run out before the picture does")
-            entry = first[windows[at >> 3] >> (8 - (at & 7)) & 0xFFFF]
-            at += (entry >> 8) + (entry & 15)
-            k = 1 if entry else 64
-            while k < 64 and at < end:
-                entry = others[windows[at >> 3] >> (8 - (at & 7)) & 0xFFFF]
-                if not entry:
-                    raise JpegError("is damaged: it holds what is no code")
-                bits = entry & 15
-                at += (entry >> 8) + bits
-                k += (entry >> 4 & 15) + 1 if bits or entry & 0xF0 == 0xF0 else 64
-    if at > end:
-        raise JpegError("is truncated: its codes run out before the picture does")
