@@ -30,6 +30,8 @@ Size = tuple[int, int]
 
 COLOUR_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".ppm", ".pgm", ".tif", ".tiff")
 DEPTH_SUFFIXES = (".png", ".pgm", ".tif", ".tiff", ".exr", ".npy", ".npz")
+_NEAREST, _FARTHEST = 1e-3, 1e5
+"""Metres; depth of less or more is rubbish."""
 _NO_READING = 65535
 """A saturated 16-bit reading is none (Kinect recordings mark holes with it, too)."""
 
@@ -213,9 +215,10 @@ def decode_depth(data: bytes, path: Path, *, scale: float, size: Size | None = N
 
 
 def metres(raw: NDArray) -> Float32:
-    """Return depth in metres [h, w] float32 where what is not finite, or not in front, is no reading."""
-    depth = raw.astype(np.float32)
-    depth[~(np.isfinite(depth) & (depth > 0.0))] = 0.0
+    """Return depth in metres [h, w] float32 where what no sensor measures (not finite, either) is no reading."""
+    with np.errstate(over="ignore"):
+        depth = raw.astype(np.float32)
+    depth[~((depth >= _NEAREST) & (depth <= _FARTHEST))] = 0.0
     return depth
 
 

@@ -134,11 +134,11 @@ def open_bag(path: Path) -> Bag:
         import rosbags.highlevel  # noqa: F401
     except ImportError:
         raise DatasetError(f"{path}: needs the ROS extra; pip install 'ggwarp[ros]'") from None
-    if path.is_file():
-        try:
-            guarded.check_file(path, guarded.VIDEO)
-        except guarded.FileError as error:
-            raise DatasetError(str(error)) from error
+    try:  # the libraries would wait for a pipe, and read a device without end
+        for file in sorted(path.iterdir()) if path.is_dir() else [path]:
+            guarded.check_file(file, guarded.VIDEO)
+    except guarded.FileError as error:
+        raise DatasetError(str(error)) from error
     try:
         return {".mcap": _Mcap, ".db3": _Sqlite}.get(path.suffix.lower(), _RosBag)(path)
     except (DatasetError, MemoryError):

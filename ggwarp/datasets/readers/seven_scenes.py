@@ -108,9 +108,12 @@ def _info(path: Path, size: Size) -> Calibration:
 
     def numbers(key: str) -> list[float]:
         try:
-            return [float(word) for word in values.get(key, "").split()]
+            found = [float(word) for word in values.get(key, "").split()]
         except ValueError:
-            raise DatasetError(f"{path}: {key} is not made of numbers") from None
+            found = [np.nan]
+        if not np.isfinite(found).all():
+            raise DatasetError(f"{path}: {key} is not made of finite numbers; copy it again")
+        return found
 
     def camera(name: str, size: Size) -> Camera | None:
         K = numbers(f"m_calibration{name}Intrinsic")
