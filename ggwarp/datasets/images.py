@@ -215,7 +215,7 @@ def decode_depth(data: bytes, path: Path, *, scale: float, size: Size | None = N
 
 
 def metres(raw: NDArray) -> Float32:
-    """Return depth in metres [h, w] float32 where what no sensor measures (not finite, either) is no reading."""
+    """Return depth in metres [h, w] float32 where what no sensor measures, or is not finite, is 0."""
     with np.errstate(over="ignore"):
         depth = raw.astype(np.float32)
     depth[~((depth >= _NEAREST) & (depth <= _FARTHEST))] = 0.0
