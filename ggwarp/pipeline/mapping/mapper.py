@@ -12,6 +12,7 @@ from ggwarp.map.covisibility import Covisibility
 from ggwarp.map.gaussian_map import GaussianMap
 from ggwarp.map.gaussians import Gaussians
 from ggwarp.map.renderer import Renderer
+from ggwarp.map.surface_density import surface_density
 from ggwarp.objects.mask_supervision import SupervisionConfig
 from ggwarp.objects.object_learning import ObjectLearning
 from ggwarp.pipeline.mapping.densification import RESET_OPACITY, lower_opacities
@@ -20,7 +21,12 @@ from ggwarp.pipeline.mapping.exposure import ExposureModel
 from ggwarp.pipeline.mapping.keyframe import Keyframes, upload
 from ggwarp.pipeline.mapping.keyframe_sampler import KeyframeSampler
 from ggwarp.pipeline.mapping.optimiser import MapOptimiser, OptimiserConfig
-from ggwarp.pipeline.mapping.seeding import SeedingConfig, seed_density, seed_gaussians
+from ggwarp.pipeline.mapping.seeding import (
+    DEPTH_TOLERANCE,
+    SeedingConfig,
+    seed_density,
+    seed_gaussians,
+)
 from ggwarp.runtime.state import Stateful
 from ggwarp.runtime.streams import to_host
 from ggwarp.types import Exposure, Float64, Frame, Rendered
@@ -128,17 +134,21 @@ class Mapper(Stateful):
         seeds = training = None
         if self.objects is not None:
             seeds, training = self.objects.supervise_keyframe(frame, T_wc, rendered)
+        camera, present = self._renderer.camera, None
+        if rendered is not None and frame.depth is not None:
+            present = surface_density(self.map, T_wc, camera, frame.depth, tolerance=DEPTH_TOLERANCE)
         new = seed_gaussians(
             frame,
             T_wc,
-            self._renderer.camera,
-            seed_density(frame, rendered, self._config.seeding, exposure),
+            camera,
+            seed_density(frame, rendered, self._config.seeding, exposure, present=present),
             self._config.seeding,
             identities=seeds,
             rng=self._identity_rng,
             exposure=exposure,
             keyframe_id=len(self._keyframes),
             flat=self._depth_completion is None,
+            present=present,
         )
         self.map.append(new)
         self._optimiser.add(upload(measured, T_wc, training, exposure, device=self._device))

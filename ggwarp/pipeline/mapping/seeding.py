@@ -4,6 +4,8 @@
 Gaussians go where the map does not yet explain the picture: everywhere at first, later where
 the render is transparent, behind the new surface, or wrong in colour. Their density follows
 the picture's detail, and their size follows their density, so that they tile the surface.
+What lies on the surface already counts: edges look new in every view, by a pixel or two, and what cannot be
+fitted stays wrong in colour, so that a map that was seeded there each time would grow for ever.
 """
 
 from __future__ import annotations
@@ -28,8 +30,11 @@ _RESIDUAL_THRESHOLD = 0.06
 """On surface that the map shows, more are added where the mean absolute colour error is above this."""
 _RESIDUAL_GAIN = 1.5
 """Density added per unit of colour error above the threshold."""
-_DEPTH_TOLERANCE = 0.03
-"""A surface is new when it is closer than the rendered depth by more than this share of it."""
+DEPTH_TOLERANCE = 0.03
+"""A surface is new when it is closer than the rendered depth by more than this share of it, and a Gaussian
+lies on a surface whose depth is its own to this share."""
+_MOST = 1.0
+"""Gaussians a pixel that a wrong colour may lead to: a view cannot tell more apart."""
 _SPACING = 0.5
 """Standard deviation of a Gaussian in units of the distance to its neighbours."""
 _FLATNESS = 0.2
@@ -53,7 +58,12 @@ class SeedingConfig:
 
 
 def seed_density(
-    frame: Frame, rendered: Rendered | None, config: SeedingConfig, exposure: Exposure = _NEUTRAL
+    frame: Frame,
+    rendered: Rendered | None,
+    config: SeedingConfig,
+    exposure: Exposure = _NEUTRAL,
+    *,
+    present: Float32 | None = None,
 ) -> Float32:
     """Return the density of new Gaussians, [h, w] Gaussians a pixel, 0 where depth is missing.
 
@@ -61,6 +71,7 @@ def seed_density(
         frame: the keyframe, at the map's image size.
         rendered: the map's view from there; None while the map is empty.
         exposure: of the frame's picture.
+        present: [h, w] Gaussians a pixel on the surface already; None: none.
     """
     assert frame.depth is not None
     colour = exposure.undo_exposure(frame.rgb)
@@ -70,10 +81,13 @@ def seed_density(
     if rendered is None:
         density = fresh
     else:
-        in_front = (rendered.median_depth - frame.depth) > _DEPTH_TOLERANCE * rendered.median_depth
+        in_front = (rendered.median_depth - frame.depth) > DEPTH_TOLERANCE * rendered.median_depth
         is_new = (rendered.opacity < 0.5) | in_front
         residual = cv2.blur(np.abs(rendered.rgb - colour).mean(axis=2), (3, 3))
         more = np.clip(_RESIDUAL_GAIN * (residual - _RESIDUAL_THRESHOLD), 0.0, config.max_density)
+        if present is not None:
+            fresh = np.maximum(fresh - present, 0.0)
+            more = np.minimum(more, np.maximum(_MOST - present, 0.0))
         density = np.where(is_new, fresh, more)
     return np.where(frame.depth > 0.0, density, 0.0).astype(np.float32)
 
@@ -120,6 +134,7 @@ def seed_gaussians(
     exposure: Exposure = _NEUTRAL,
     keyframe_id: int = 0,
     flat: bool = True,
+    present: Float32 | None = None,
 ) -> Gaussians:
     """Return the Gaussians that ``frame`` adds at ``density`` (GG-SLAM 2.3, c).
 
@@ -132,6 +147,7 @@ def seed_gaussians(
         exposure: of the frame's picture.
         keyframe_id: number of the keyframe.
         flat: they are discs on the surface; else they are round, as where normals are not known.
+        present: [h, w] Gaussians a pixel on the surface already, between which they go; None: none.
     """
     assert frame.depth is not None
     rows, cols = choose_pixels(density, frame.index)
@@ -143,7 +159,8 @@ def seed_gaussians(
     normals[unknown] = towards[unknown]
 
     axes, cosine = _surface_axes(normals, towards)
-    spread = _SPACING / np.sqrt(density[rows, cols]) * z / camera.fx
+    total = density if present is None else density + present
+    spread = _SPACING / np.sqrt(total[rows, cols]) * z / camera.fx
     flatness, max_stretch = (_FLATNESS, _MAX_STRETCH) if flat else (1.0, 1.0)
     stretch = np.minimum(1.0 / np.maximum(cosine, 1e-3), max_stretch)
     scales = np.stack([spread * stretch, spread, spread * flatness], axis=1)

@@ -275,3 +275,21 @@ def test_a_keyframe_s_pose_is_fitted_with_the_map(device: str, frame: Frame) -> 
     error = np.linalg.norm(mapper.keyframe_pose(1)[:3, 3] - frame.T_wc[:3, 3])
     assert error < 0.5 * np.linalg.norm(wrong[:3, 3] - frame.T_wc[:3, 3])
     np.testing.assert_allclose(mapper.keyframe_pose(0), frame.T_wc, atol=1e-6)
+
+
+def test_the_same_views_again_do_not_make_the_map_grow(device: str, rng: np.random.Generator) -> None:
+    """As a sensor's edges are another pixel's in each frame, a part of every view seems to be new."""
+    config = MapperConfig(depth_weight=0.0)
+    mapper = made(device, config, use_identity=False)
+    counts, frames = [], [OFFICE[i] for i in (0, 2, 4)]
+    for round_ in range(4):
+        for frame in frames:
+            assert frame.depth is not None and frame.T_wc is not None
+            moved = np.roll(frame.depth, rng.integers(-1, 2, 2).tolist(), (0, 1)) if round_ else frame.depth
+            noise = 1.0 + 0.005 * rng.normal(size=moved.shape)
+            seen = dataclasses.replace(frame, index=3 * round_ + frame.index, depth=np.float32(moved * noise))
+            mapper.insert(seen, frame.T_wc)
+            for _ in range(4):
+                mapper.iterate()
+        counts.append(mapper.map.count)
+    assert counts[0] > 2000 and counts[-1] < 1.05 * counts[1] < 1.25 * counts[0], counts

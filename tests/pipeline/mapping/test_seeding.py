@@ -97,6 +97,34 @@ def test_nothing_is_added_where_the_map_explains_the_picture() -> None:
 def test_gaussians_are_added_where_the_map_is_wrong(rendered: Rendered) -> None:
     depth = np.full((48, 64), 2.0, np.float32)
     assert (seed_density(frame(depth), rendered, CONFIG) > 0.05).all()
+    full = np.full_like(depth, 1.0)
+    assert not seed_density(frame(depth), rendered, CONFIG, present=full).any(), "it is full already"
+
+
+def test_new_surface_is_filled_up_and_wrong_colour_to_one_a_pixel() -> None:
+    depth = np.full((48, 64), 2.0, np.float32)
+    empty, wrong = view(depth, opacity=0.2), view(depth, grey=0.9)
+    wanted = seed_density(frame(depth), empty, CONFIG)
+    for share in (0.0, 0.4, 1.0):
+        found = seed_density(frame(depth), empty, CONFIG, present=share * wanted)
+        np.testing.assert_allclose(found, (1.0 - share) * wanted, atol=1e-6)
+    more = seed_density(frame(depth), wrong, CONFIG)
+    for present in (0.0, 0.7, 0.95):
+        found = seed_density(frame(depth), wrong, CONFIG, present=np.full_like(depth, present))
+        np.testing.assert_allclose(found, np.minimum(more, 1.0 - present), atol=1e-6)
+
+
+def test_gaussians_between_others_are_as_small_as_those(rng: np.random.Generator) -> None:
+    seen = frame(np.full((48, 64), 2.0, np.float32))
+    sizes = {}
+    for new, present in ((0.4, 0.0), (0.1, 0.3)):
+        density, others = (np.full((48, 64), d, np.float32) for d in (new, present))
+        batch = seed_gaussians(
+            seen, np.eye(4), CAMERA, density, CONFIG, identities=None, rng=rng, present=others
+        )
+        assert len(batch.means) == pytest.approx(new * 48 * 64, rel=0.1)
+        sizes[new] = np.median(batch.log_scales[:, 1])
+    assert sizes[0.1] == pytest.approx(sizes[0.4], abs=1e-3)
 
 
 def test_no_depth_no_gaussian(rng: np.random.Generator) -> None:
