@@ -126,9 +126,10 @@ class SegmentAssociation(Stateful):
         matches = match_segments(segments[grid], seen[grid], self._classes.count)
         classes = matches.classes.copy()
         for segment in np.nonzero(matches.new)[0].tolist():
-            classes[segment] = self._classes.new_class()
+            if not self._classes.full:
+                classes[segment] = self._classes.new_class()
         fresh = self._follow(segments, matches, classes, surface)
-        for index in {*classes[matches.paired | matches.new].tolist(), *fresh}:
+        for index in {*classes[matches.paired | matches.new].tolist(), *fresh} - {IGNORED}:
             self._views[index] += 1
             if self._views[index] >= _VIEWS:
                 self._classes.assign_id(index)
@@ -143,6 +144,8 @@ class SegmentAssociation(Stateful):
         fresh = set[int]()
         for segment, candidate in self._candidates.follow(segments, matches.open_segments, surface):
             if candidate.index is None:
+                if self._classes.full:
+                    continue
                 candidate.index = self._classes.new_class()
             classes[segment] = candidate.index
             fresh.add(candidate.index)

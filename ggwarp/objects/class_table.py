@@ -48,6 +48,13 @@ class ClassTable(Stateful):
         return len(self._ids)
 
     @property
+    def full(self) -> bool:
+        """Whether there is no room for another class; said once."""
+        if self.count >= MOST_CLASSES:
+            self._warn_full()
+        return self.count >= MOST_CLASSES
+
+    @property
     def ids(self) -> NDArray[np.int64]:
         """[count] the id of each class's object: the masks' own, where they have one for it."""
         return np.array(self._ids, np.int64)[self._merged_into]
@@ -81,7 +88,7 @@ class ClassTable(Stateful):
         return merged_into[classes]  # IGNORED is the last
 
     def new_class(self, *, shares_id_of: int | None = None) -> int:
-        """Return a new class; it goes by "no object" until it is given an id.
+        """Return a new class, where the table is not :attr:`full`; it goes by "no object" until given an id.
 
         Args:
             shares_id_of: the class whose mask id stands for the new one's object, too.
@@ -138,8 +145,7 @@ class ClassTable(Stateful):
 
     def _class_of(self, raw: int) -> int:
         if raw not in self._class_of_id:
-            if raw < 0 or self.count >= MOST_CLASSES:
-                self._warn(raw)
+            if raw < 0 or self.full:
                 return IGNORED
             others = [index for index, taken in enumerate(self._ids) if taken == raw]
             self._class_of_id[raw] = self.new_class()
@@ -149,10 +155,10 @@ class ClassTable(Stateful):
                 self.assign_id(index)
         return self._class_of_id[raw]
 
-    def _warn(self, raw: int) -> None:
-        if raw >= 0 and not self._warned:
+    def _warn_full(self) -> None:
+        if not self._warned:
             log.warning(
-                "the masks have named %d objects; further ones are left aside. Do their ids mean the same "
+                "the masks have named %d objects; further ones are left aside. Do tracked ids mean the same "
                 "object in every frame? If not: --masks-kind untracked",
                 self.count - 1,
             )

@@ -170,7 +170,7 @@ class SharedIdSplitter(Stateful):
             owner.index = label
         elif any(self._near(p, owner) for p in objects):
             parts.remove(owner)
-        else:
+        elif not self._classes.full:
             owner.index = self._classes.new_class(shares_id_of=label)
             self._classes.assign_id(owner.index)
 

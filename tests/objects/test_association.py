@@ -2,8 +2,10 @@
 """Segments of unknown ids against the map's objects."""
 
 import numpy as np
+import pytest
 
 from ggwarp.geometry.camera import Camera
+from ggwarp.objects import class_table
 from ggwarp.objects.association import SegmentAssociation, match_segments
 from ggwarp.objects.class_table import ClassTable
 from ggwarp.objects.labels import Labels
@@ -97,6 +99,21 @@ def test_one_frame_that_splits_an_object_does_not_divide_it() -> None:
     wall.see(stripes(3, 3, 8, 6), known)
     wall.see(stripes(5, 5, 5, 6), known)
     assert wall.see(stripes(3, 3, 8, 6), known) == [1, 1, 1, 2]
+
+
+def test_there_is_a_bounded_number_of_objects(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(class_table, "MOST_CLASSES", 4)
+    wall = Wall()
+    assert wall.see(stripes(5, 5, 5, 6)) == [1, 1, 1, 2]
+    known = stripes(1, 1, 1, 2)
+    assert wall.see(stripes(3, 3, 8, 6), stripes(1, 1, -1, 2)) == [1, 1, 3, 2]
+    assert wall.see(stripes(3, 8, 9, 6), stripes(1, -1, -1, 2)) == [1, -1, -1, 2], "what is new is left aside"
+    for _ in range(3):
+        mask = wall.associate(stripes(3, 3, 8, 6), known)
+        assert mask.labels[0, 5::10].tolist() == [1, 1, 1, 2] and not mask.fresh, "nor is any divided"
+    assert wall.table.count == 4 and len(caplog.records) == 1
 
 
 def test_unlabelled_pixels_stay_so() -> None:

@@ -6,7 +6,7 @@ import pytest
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
-from ggwarp.objects import id_splitting
+from ggwarp.objects import class_table, id_splitting
 from ggwarp.objects.class_table import IGNORED, ClassTable
 from ggwarp.objects.id_splitting import SharedIdSplitter, SplittingConfig, _clusters
 from ggwarp.objects.mask_view import MapKnowledge, MaskView, PosedDepth
@@ -64,6 +64,15 @@ def test_a_part_far_away_is_another_object_at_its_third_view() -> None:
     assert name not in (0, 7, 99) and name not in wall.classes.mask_ids
     assert wall.classes.sources() == {name: (7,)}
     assert wall.splitter.grown_together() == []
+
+
+def test_a_full_table_splits_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    wall = Wall({0.0: 7, 5.0: 7})
+    (one,) = set(np.unique(wall.look_thrice(0.0)[0])) - {wall.classes.encode(np.array([99]))[0]}
+    monkeypatch.setattr(class_table, "MOST_CLASSES", wall.classes.count)
+    for _ in range(2):
+        labels, fresh = wall.look_thrice(5.0)
+        assert one in labels and IGNORED not in labels and not fresh
 
 
 @pytest.mark.parametrize("within_frames", [False, True])
