@@ -19,6 +19,7 @@ import tyro
 from rich.console import Console
 
 from benchmarking import kernels, plots, scaling, sweep, system, tracking
+from benchmarking.endurance import memory
 from benchmarking.options import BenchmarkError, check_out
 from benchmarking.record import Record, write_record
 from benchmarking.tables import show
@@ -32,6 +33,7 @@ SUBCOMMANDS: dict[str, tuple[Any, Callable[[Any], Record]]] = {
     "system": (system.SystemOptions, system.run),
     "scaling": (scaling.ScalingOptions, scaling.run),
     "sweep": (sweep.SweepOptions, sweep.run),
+    "memory": (memory.MemoryOptions, memory.run),
 }
 """Name -> its options and what it runs."""
 

@@ -12,6 +12,7 @@ import torch
 from rich.console import Console
 
 from benchmarking import gsplat_peer, kernels, machine, plots, scaling, system, tables, tracking
+from benchmarking.endurance import memory
 from benchmarking.inputs.clouds import Ours, grown, situation, small_gicp_or_none
 from benchmarking.inputs.scene import (
     OBJECTS,
@@ -304,7 +305,10 @@ def test_every_subcommand_has_its_plot(tmp_path: Path):
         Section(system.QUALITY, [{**named, "PSNR": 30.0}]),
     ]
     sections = {"tracking": [Section(tracking.BESIDE, beside), growth], "scaling": [*scales, growth]}
-    for name, content in (sections | {"system": runs, "sweep": runs}).items():
+    columns = ("resident MB", "images in memory MB", "in the file MB", "Gaussians", "trackable points")
+    course = [dict.fromkeys(("frames", *columns, "tracking ms", "mapping ms"), k) for k in (10, 20)]
+    sections |= {"system": runs, "sweep": runs, "memory": [Section(memory.COURSE, course)]}
+    for name, content in sections.items():
         record = made_record(sections=content)
         record.benchmark = name
         assert plots.draw(record, tmp_path / name) == [tmp_path / f"{name}.png"]

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarking import kernels, scaling, sweep, system, tracking
+from benchmarking.endurance import memory
 from benchmarking.record import Record, Row
 
 
@@ -144,11 +145,32 @@ def _sweep(plt: Any, record: Record) -> Any:
     return figure
 
 
+def _memory(plt: Any, record: Record) -> Any:
+    rows = _rows(record, memory.COURSE)
+    if not rows:
+        return None
+    figure, axes = plt.subplots(1, 3, figsize=(13, 4))
+    panels = {
+        "MB": ("resident MB", "images in memory MB", "in the file MB"),
+        "in the map": ("Gaussians", "trackable points"),
+        "CPU ms a frame": ("tracking ms", "mapping ms"),
+    }
+    for panel, (unit, columns) in zip(axes, panels.items(), strict=True):
+        for column in columns:
+            panel.plot([r["frames"] for r in rows], [r[column] for r in rows], label=column)
+        panel.set_xlabel("frames")
+        panel.set_ylabel(unit)
+        panel.set_ylim(bottom=0)
+        panel.legend(fontsize=7)
+    return figure
+
+
 _DRAWINGS: dict[str, Callable[[Any, Record], Any]] = {
     "kernels": _kernels,
     "tracking": _tracking,
     "system": _system,
     "scaling": _scaling,
     "sweep": _sweep,
+    "memory": _memory,
 }
 """Subcommand -> its figure; None where there is nothing to show."""
