@@ -88,6 +88,14 @@ def total_failure(reports: Sequence[StepReport], plan: Mapping[str, Any], far: f
     return f"{what}; likely: {cause}" if cause else what
 
 
+def closed_loop(step: StepReport) -> str:
+    """Say which loop a frame closed."""
+    return (
+        f"frame {step.index}: a loop, as at frame {step.loop_with}; the map moved by up to "
+        f"{step.loop_moved_cm:.1f} cm ({step.loop_ms:.0f} ms)"
+    )
+
+
 def lateness(reports: Sequence[StepReport]) -> str:
     """Return how late frames were taken up; empty where none was."""
     late = [r for r in reports if r.late_ms > 0.0]

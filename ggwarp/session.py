@@ -15,13 +15,7 @@ from ggwarp import messages
 from ggwarp.checkpointing import Checkpoints, go_on, staged_folder
 from ggwarp.config import CheckpointInterval, ResumedRun, RunConfig, frame_indices, resolve_config
 from ggwarp.console import Display
-from ggwarp.datasets import (
-    BadFrame,
-    DatasetError,
-    FrameReader,
-    WithoutDepth,
-    open_dataset,
-)
+from ggwarp.datasets import BadFrame, DatasetError, FrameReader, WithoutDepth, open_dataset
 from ggwarp.datasets.kept_frames import KeptFrames
 from ggwarp.datasets.plan.sequence_plan import plan_sequence
 from ggwarp.evaluation.evaluate import FrameScore
@@ -111,7 +105,7 @@ class Session:
         dataset = open_dataset(
             seq,
             data_root=asked.data_root(),
-            masks=asked.mask_choice,
+            masks=asked.mask_folder,
             faults=asked.built_in,
             intrinsics=asked.intrinsics,
         )
@@ -141,6 +135,8 @@ class Session:
         )
         self._frames = self._reader if self._resumed is None else self._reader.after(self._resumed.done)
         self._slam = build_system(config, self._frames, budget - self._kept.room, folder.nearest)
+        if reason := self._slam.loops.stay_open:
+            self._display.note(f"loops stay open: {reason}")
         self._concurrent = works_concurrently(config, self._slam)
         # The objects of untracked masks are numbered by the map.
         names = getattr(dataset, "class_names", {}) if config.slam.masks_kind == "tracked" else {}
@@ -318,6 +314,8 @@ class Session:
             self.record.truth[frame.index] = frame.T_wc
         if step.verdict is Verdict.LOST:
             self._display.warn(f"frame {frame.index} lost: {step.reason}")
+        elif step.loop_with is not None:
+            self._display.note(messages.closed_loop(step))
         # Before the status: a checkpoint has it, too.
         self.record.loop_s = time.perf_counter() - self._loop_started
         self._display.advance(messages.status(step, len(reports) / self.record.loop_s))

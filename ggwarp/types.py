@@ -130,6 +130,8 @@ class TrackResult:
         exposure: of the picture, where tracking looked at it; None: not estimated.
         depth: [h, w] float32 metres, of the picture, where tracking estimated it without a sensor.
         overlap: share of the frame that the map explains: of its points, or of its pixels without points.
+        information: [6, 6] inverse covariance of a twist (translation, rotation) in the camera; None: not
+            stated.
         earlier_poses: index -> [4, 4] pose of earlier frames that became known only now.
         reinitialise: the map is not what the camera sees: a new one is to begin with the next frame. Only
             for trackers that look at the Gaussians.
@@ -142,6 +144,7 @@ class TrackResult:
     exposure: Exposure | None = None
     depth: Float32 | None = None
     overlap: float = 0.0
+    information: Float64 | None = None
     earlier_poses: dict[int, Float64] = field(default_factory=dict)
     reinitialise: bool = False
 
@@ -223,6 +226,9 @@ class StepReport:
             the tracker takes it up.
         late_ms: how long after its arrival a busy system took the frame up, milliseconds (live mode).
         frames_behind: newer frames that had arrived by then.
+        loop_ms: of ``tracking_ms``, spent on looking for loops and on closing them.
+        loop_with: the earlier frame with which this one closed a loop; None: it closed none.
+        loop_moved_cm: the farthest that anything was moved by that.
     """
 
     index: int
@@ -241,3 +247,6 @@ class StepReport:
     latency_ms: float = float("nan")
     late_ms: float = 0.0
     frames_behind: int = 0
+    loop_ms: float = 0.0
+    loop_with: int | None = None
+    loop_moved_cm: float | None = None

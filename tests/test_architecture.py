@@ -21,7 +21,7 @@ EVERY_FILE = [
 _VALUES = {"types", "geometry"}
 _DEVICE = _VALUES | {"runtime", "kernels"}
 _MAP = _DEVICE | {"solvers", "map"}
-_SYSTEM = {"pipeline", "pipeline.tracking", "pipeline.mapping"}
+_SYSTEM = {"pipeline", "pipeline.tracking", "pipeline.loops", "pipeline.mapping"}
 ALLOWED: dict[str, set[str]] = {
     "types": set(),
     "geometry": {"types"},
@@ -35,6 +35,7 @@ ALLOWED: dict[str, set[str]] = {
     "datasets": _DEVICE | {"io"},
     "evaluation": _VALUES | {"map"},
     "pipeline.tracking": _MAP,
+    "pipeline.loops": _MAP | {"pipeline.tracking"},
     "pipeline.mapping": _MAP | {"objects"},
     "pipeline": _MAP | {"objects", "io", "results", *_SYSTEM},
     "results": _VALUES | {"map", "io", "objects", "evaluation"},
@@ -96,6 +97,9 @@ def test_imports_go_one_way(path: Path) -> None:
     [
         ("pipeline.tracking", "pipeline.mapping"),
         ("pipeline.mapping", "pipeline.tracking"),
+        ("pipeline.mapping", "pipeline.loops"),
+        ("pipeline.loops", "pipeline.mapping"),
+        ("pipeline.tracking", "pipeline.loops"),
         ("editing", "pipeline"),
         ("results", "pipeline"),
         ("pipeline.tracking", "objects"),

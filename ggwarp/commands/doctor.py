@@ -81,6 +81,11 @@ def packages(version_of: Callable[[str], str | None] = installed_version) -> Ite
             yield Finding(name, versions[0])
         else:
             yield Finding(name, "not installed", f"pip install {package}", essential=True)
+    gtsam = version_of("gtsam")
+    remedy = (
+        "" if gtsam else "pip install 'gtsam>=4.3' (Linux and macOS, Python 3.11 or newer): loops stay open"
+    )
+    yield Finding("gtsam", gtsam or "not installed", remedy)
     for extra, (package, purpose) in _EXTRAS.items():
         version = version_of(package)
         remedy = "" if version else f"pip install 'ggwarp[{extra}]' adds {purpose}"

@@ -11,7 +11,7 @@ from typing import Any
 from ggwarp.config.run_config import ConfigError, RunConfig
 from ggwarp.io.suggestion import did_you_mean
 from ggwarp.io.toml import TomlError, merged, read_toml
-from ggwarp.pipeline.slam import SlamConfig
+from ggwarp.pipeline.slam_config import SlamConfig
 from ggwarp.pipeline.tracking.tracker import TrackerError
 
 

@@ -11,7 +11,7 @@ from ggwarp.config.run_config import ConfigError, RunConfig, frame_slice
 from ggwarp.datasets import Dataset
 from ggwarp.geometry.camera import Camera
 from ggwarp.pipeline.mapping.mapper import MapperConfig
-from ggwarp.pipeline.slam import SlamConfig
+from ggwarp.pipeline.slam_config import SlamConfig
 
 _CPU_PIXELS = 50_000  # what two cores can map at a few frames a second
 _MIN_SIDE = 16  # pixels: one tile

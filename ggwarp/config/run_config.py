@@ -12,10 +12,9 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from ggwarp.datasets.base import MaskChoice
 from ggwarp.datasets.built_in.faults import SensorFaults
 from ggwarp.io.printable import shown
-from ggwarp.pipeline.slam import SlamConfig
+from ggwarp.pipeline.slam_config import SlamConfig
 
 Preset = Literal["gg-slam", "gs-icp", "monogs", "fast", "quality"]
 
@@ -44,9 +43,6 @@ class RunConfig:
     masks: str | None = None
     """A folder of object masks, one a frame, or none for no masks. Default: those beside the images, if any.
     The word untracked means those, with --masks-kind untracked."""
-
-    masks_void: tuple[int, ...] = ()
-    """Ids of masks' pixels that say nothing, neither an object nor none, such as 255 along borders."""
 
     intrinsics: tuple[float, float, float, float] | None = None
     """The camera of your own recording: fx fy cx cy in pixels of its native size. Default: its camera file's.
@@ -88,9 +84,9 @@ class RunConfig:
     """What is wrong with the camera of a built-in scene; by default nothing is."""
 
     @property
-    def mask_choice(self) -> MaskChoice:
+    def mask_folder(self) -> str | None:
         """What :func:`ggwarp.datasets.open_dataset` takes as ``masks``."""
-        return MaskChoice(None if self.masks == "untracked" else self.masks, self.masks_void)
+        return None if self.masks == "untracked" else self.masks
 
     def data_root(self) -> Path:
         """Return the folder that sequences are looked up in."""

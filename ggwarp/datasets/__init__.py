@@ -15,7 +15,6 @@ from ggwarp.datasets.base import (
     DatasetError,
     FrameError,
     Kind,
-    MaskChoice,
     Masks,
     WithoutDepth,
     WithoutMasks,
@@ -193,15 +192,14 @@ def _video(path: Path, intrinsics: Intrinsics | None) -> Dataset:
 
 def _built_in(seq: str, masks: Masks, faults: SensorFaults | None) -> Dataset:
     scene = _built_in_scene(seq, faults)
-    choice = MaskChoice.of(masks)
-    if choice.where is None:
+    if masks is None:
         return scene
-    if str(choice.where) == "none":
+    if str(masks) == "none":
         return WithoutMasks(scene)
     from ggwarp.datasets.masks import WithMasks, open_masks
 
     size = (scene.camera.width, scene.camera.height)
-    return WithMasks(scene, open_masks(Path(choice.where), scene.stems, size=size, void=choice.void))
+    return WithMasks(scene, open_masks(Path(masks), scene.stems, size=size))
 
 
 def _built_in_scene(seq: str, faults: SensorFaults | None) -> SyntheticScene:

@@ -98,9 +98,7 @@ class Calibration:
 
     @property
     def _said_by(self) -> str:
-        if self.scale_origin:
-            return f"from {self.scale_origin}"
-        return "assumed, as no file says (scale in camera.json does)"
+        return f"from {self.scale_origin}" if self.scale_origin else "assumed, as no file says"
 
 
 def given_camera(path: Path, size: tuple[int, int], intrinsics: Intrinsics | None) -> Camera:

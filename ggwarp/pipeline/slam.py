@@ -13,9 +13,8 @@ import dataclasses
 import math
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -24,21 +23,20 @@ from ggwarp.map.gaussians import Gaussians
 from ggwarp.map.renderer import Renderer
 from ggwarp.objects.inventory import ObjectRecord
 from ggwarp.objects.linear_classifier import LinearClassifier
+from ggwarp.pipeline.estimated_poses import EstimatedPoses
+from ggwarp.pipeline.loops.tracking_side import TrackingLoops
 from ggwarp.pipeline.mapping.build import build_mapper
-from ggwarp.pipeline.mapping.keyframe_window import WindowConfig
-from ggwarp.pipeline.mapping.mapper import MapperConfig
 from ggwarp.pipeline.scheduler import Scheduler, SynchronousScheduler, Waiting
+from ggwarp.pipeline.slam_config import SlamConfig
 from ggwarp.pipeline.tracked_frame import TrackedFrame
 from ggwarp.pipeline.tracking.keyframe_policy import (
-    CovisibilityConfig,
     CovisibilityKeyframes,
-    KeyframeConfig,
     KeyframeKind,
     KeyframePolicy,
     OverlapKeyframes,
 )
-from ggwarp.pipeline.tracking.point_map import TrackableConfig, TrackableMap
-from ggwarp.pipeline.tracking.tracker import TrackerContext, TrackingConfig, make_tracker
+from ggwarp.pipeline.tracking.point_map import TrackableMap
+from ggwarp.pipeline.tracking.tracker import TrackerContext, make_tracker
 from ggwarp.results.run_folder import write_system
 from ggwarp.runtime import loading
 from ggwarp.runtime.image_store import ImageStore
@@ -46,29 +44,8 @@ from ggwarp.runtime.state import FrameSource, State, Stateful, restore_into, sta
 from ggwarp.runtime.streams import NO_LOCK, stream_scopes
 from ggwarp.types import Float64, Frame, Rendered, StepReport, TrackResult
 
-_TRACKING_STATE = ("_tracker", "_policy", "_trackable", "_earlier_poses", "_restart_at")
-_MAPPING_STATE = ("_mapper", "reports", "counts", "_unmapped")
-
-
-@dataclass(frozen=True)
-class SlamConfig(TrackingConfig):
-    """The whole system: its parts' configurations and what joins them."""
-
-    keyframes: KeyframeConfig = field(default_factory=KeyframeConfig)
-    trackable: TrackableConfig = field(default_factory=TrackableConfig)
-    mapper: MapperConfig = field(default_factory=MapperConfig)
-    policy: Literal["auto", "overlap", "covisibility"] = "auto"
-    """How keyframes are chosen: by overlap with the trackable points, or by covisibility. The latter keeps a
-    window that is fitted together (MonoGS). The word auto means covisibility with --tracker photometric."""
-    covisibility: CovisibilityConfig = field(default_factory=CovisibilityConfig)
-    window: WindowConfig = field(default_factory=WindowConfig)
-    mono: bool = False
-    """Leave depth images aside: the map has no scale of its own. Always so where there are none."""
-    use_identity: bool = True
-    """Learn which object each Gaussian belongs to (GG-SLAM); without, this is GS-ICP-SLAM."""
-    masks_kind: Literal["tracked", "untracked"] = "tracked"
-    """What the masks' ids say: tracked, the same object in every frame, or untracked, nothing across frames.
-    Segmenters of single images write the latter; the map then finds the objects again."""
+_TRACKING_STATE = ("_tracker", "_policy", "_trackable", "_earlier_poses", "_restart_at", "loops")
+_MAPPING_STATE = ("_mapper", "reports", "counts", "_unmapped", "_poses", "_moved_by")
 
 
 class Slam:
@@ -79,7 +56,8 @@ class Slam:
         map: the Gaussians.
         reports: one row a frame.
         keyframe_indices: frames that were ever used for mapping.
-        counts: tracking_keyframes, mapping_keyframes, frames_lost.
+        counts: tracking_keyframes, mapping_keyframes, frames_lost, loops_closed.
+        loops: closes them; says why they stay open.
     """
 
     def __init__(
@@ -109,8 +87,10 @@ class Slam:
         self._tracking_scope = self._mapping_scope = NO_LOCK
         self._restart_at: Float64 | None = None
         self._unmapped = 0
+        self._moved_by: int | None = None
+        self._poses = EstimatedPoses()
         self.reports: list[StepReport] = []
-        self.counts = {"tracking_keyframes": 0, "mapping_keyframes": 0, "frames_lost": 0}
+        self.counts = {"tracking_keyframes": 0, "mapping_keyframes": 0, "frames_lost": 0, "loops_closed": 0}
         self._build()
 
     def _build(self) -> None:
@@ -136,6 +116,8 @@ class Slam:
         self._tracker = make_tracker(
             TrackerContext(config, camera, self._sensor_camera, renderer, device, config.mono)
         )
+        cameras = camera, self._sensor_camera
+        self.loops = TrackingLoops(config, cameras, self._tracker, self._policy, self._trackable)
 
     def step(self, frame: Frame) -> StepReport:
         """Process the next frame: pose first, then the map."""
@@ -151,8 +133,9 @@ class Slam:
         seconds = time.perf_counter() - started
         kind = self._policy.decide(result)
         if kind is KeyframeKind.TRACKING:
-            self._trackable.add(result.points, result.T_wc)
-        return TrackedFrame(frame, arrival, result, kind, seconds)
+            self._trackable.add(result.points, result.T_wc, frame.index)
+        result, closure, loop_s = self.loops.close(frame, result, lambda: self._tracking_scope)
+        return TrackedFrame(frame, arrival, result, kind, seconds + loop_s, closure, loop_s)
 
     def map_frame(self, tracked: TrackedFrame, waiting: Waiting | None = None) -> StepReport:
         """Add what the frame adds and fit the map (the mapper's side).
@@ -162,6 +145,7 @@ class Slam:
             waiting: asks whether the next frame waits already, where tracking runs in a thread of its own.
         """
         started = time.perf_counter()
+        self._move(tracked)
         self._insert(tracked)
         iterations = self._bootstrap(tracked) + self._fit(waiting)
         loss = self._synchronise(tracked)
@@ -171,6 +155,8 @@ class Slam:
     def leave_unmapped(self, tracked: TrackedFrame) -> StepReport:
         """Report a frame that the map will never see: the run ends before its turn."""
         self._unmapped += 1
+        with contextlib.suppress(Exception):  # where mapping has failed, what is there stays as it is
+            self._move(tracked)
         return self._report(dataclasses.replace(tracked, kind=KeyframeKind.NONE), 0.0, 0, math.nan)
 
     @property
@@ -240,7 +226,7 @@ class Slam:
 
     def fitted_poses(self) -> dict[int, Float64]:
         """Return the pose T_wc [4, 4] of each reported frame; keyframes' as fitted with the map."""
-        return {r.index: r.T_wc for r in self.reports} | self._earlier_poses | self._mapper.keyframe_poses()
+        return self._poses.by_frame | self._earlier_poses | self._mapper.keyframe_poses()
 
     @property
     def keyframe_indices(self) -> list[int]:
@@ -279,6 +265,16 @@ class Slam:
         self._earlier_poses |= result.earlier_poses
         self._restart_at = result.T_wc if result.reinitialise else None
         return result
+
+    def _move(self, tracked: TrackedFrame) -> None:
+        """Have the mapper's side follow the loop that a frame closes, once."""
+        if tracked.closure is None or self._moved_by == tracked.frame.index:
+            return
+        correction, self._moved_by = tracked.closure.correction, tracked.frame.index
+        with self._mapping_scope:
+            self._mapper.move(correction)
+        self._poses.move(correction)
+        self.counts["loops_closed"] += 1
 
     def _insert(self, tracked: TrackedFrame) -> None:
         """Give the mapper a keyframe, and any frame that is not lost for what it keeps of all."""
@@ -326,4 +322,5 @@ class Slam:
         if tracked.is_keyframe:
             self.counts[f"{tracked.kind.value}_keyframes"] += 1
         self.reports.append(report)
+        self._poses.by_frame[report.index] = report.T_wc
         return report

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ggwarp.pipeline.loops.loop_closer import Closure
 from ggwarp.pipeline.scheduler import Arrival
 from ggwarp.pipeline.tracking.keyframe_policy import KeyframeKind
 from ggwarp.types import Frame, StepReport, TrackResult, Verdict
@@ -18,6 +19,8 @@ class TrackedFrame:
         frame: as it came. arrival: when that was.
         result: its pose. kind: what it adds to the map.
         seconds: spent on the pose.
+        closure: the loop that it closes, if it does; ``result`` is as corrected.
+        loop_seconds: of ``seconds``, spent on looking for loops.
     """
 
     frame: Frame
@@ -25,6 +28,8 @@ class TrackedFrame:
     result: TrackResult
     kind: KeyframeKind
     seconds: float
+    closure: Closure | None = None
+    loop_seconds: float = 0.0
 
     @property
     def is_keyframe(self) -> bool:
@@ -60,4 +65,7 @@ class TrackedFrame:
             latency_ms=1e3 * (arrival.delay + self.seconds),
             late_ms=1e3 * arrival.delay if arrival.late else 0.0,
             frames_behind=arrival.behind,
+            loop_ms=1e3 * self.loop_seconds,
+            loop_with=None if self.closure is None else self.closure.seen_before,
+            loop_moved_cm=None if self.closure is None else 100.0 * self.closure.moved,
         )

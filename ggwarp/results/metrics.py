@@ -21,8 +21,10 @@ RESULTS = {
         "frames_skipped",
         "alignment",
         "ate_rmse_cm",
+        "ate_live_rmse_cm",
         "ate_mean_cm",
         "rpe_rmse_cm",
+        "loops_closed",
     ],
     "picture, all frames": ["psnr", "psnr_exposed", "ssim", "lpips", "depth_l1_cm"],
     "picture, held-out frames": [
@@ -52,6 +54,7 @@ RESULTS = {
     "pace": [
         "fps",
         "tracking_ms",
+        "loop_ms",
         "latency_ms_p50",
         "latency_ms_p95",
         "frames_late",
@@ -74,9 +77,10 @@ _OBJECT_FIGURES = ("pq", "sq", "rq", "objects_true", "objects_found")  # of all 
 def metrics_of(record: RunRecord, *, wall_s: float, gaussians: int | None) -> dict[str, Any]:
     """Return the run's figures under their names in ``metrics.json``; None = not measured.
 
-    ``fps`` is frames over the time of the tracking and mapping loop, refinement not counted; ``tracking_ms``
-    and ``mapping_ms`` are means per frame; ``wall_s`` runs from the command's start; ``failures`` has a line
-    for each part of the run that failed.
+    ``ate_live_rmse_cm`` is of the poses as they were reported, the other trajectory figures are of those
+    finally estimated. ``fps`` is frames over the time of the tracking and mapping loop, refinement not
+    counted; ``tracking_ms``, ``loop_ms`` (of it) and ``mapping_ms`` are means per frame; ``wall_s`` runs from
+    the command's start; ``failures`` has a line for each part of the run that failed.
     """
     reports = record.reports
     ate, rpe, scale = _trajectory_errors(record)
@@ -88,6 +92,7 @@ def metrics_of(record: RunRecord, *, wall_s: float, gaussians: int | None) -> di
         "fps": len(reports) / record.loop_s if reports and record.loop_s > 0.0 else None,
         "wall_s": wall_s,
         "tracking_ms": _mean(r.tracking_ms for r in reports),
+        "loop_ms": _mean(r.loop_ms for r in reports),
         "mapping_ms": _mean(r.mapping_ms for r in reports),
         "mapping_iterations": sum(r.mapping_iterations for r in reports),
         "iterations_per_frame": _mean(r.mapping_iterations for r in reports),
@@ -100,6 +105,7 @@ def metrics_of(record: RunRecord, *, wall_s: float, gaussians: int | None) -> di
         "frames_behind_max": max((r.frames_behind for r in reports), default=None),
         "ate_rmse_cm": None if ate is None else 100.0 * ate.rmse,
         "ate_mean_cm": None if ate is None else 100.0 * ate.mean,
+        "ate_live_rmse_cm": None if ate is None else 100.0 * _live_error(record),
         "rpe_rmse_cm": None if rpe is None else 100.0 * rpe.rmse,
         "alignment": None if ate is None else "sim3" if record.monocular else "se3",
         "scale": scale if record.monocular else None,
@@ -112,6 +118,7 @@ def metrics_of(record: RunRecord, *, wall_s: float, gaussians: int | None) -> di
         "tracking_keyframes": record.counts.get("tracking_keyframes", 0),
         "mapping_keyframes": record.counts.get("mapping_keyframes", 0),
         "frames_lost": record.counts.get("frames_lost", 0),
+        "loops_closed": record.counts.get("loops_closed", 0),
         "frames_skipped": len(record.skipped),
         "peak_memory_mb": peak_memory_mb(),
         "failures": list(record.failures),
@@ -159,6 +166,14 @@ def _truth_doubt(record: RunRecord) -> str:
     estimated = np.stack([r.T_wc for r in known])
     true = np.stack([record.truth[r.index] for r in known])
     return doubt_of_truth(to_scale(estimated, true)[0] if record.monocular else estimated, true)
+
+
+def _live_error(record: RunRecord) -> float:
+    """Return the ATE RMSE of the poses as they were reported, metres."""
+    known = [r for r in record.reports if r.index in record.truth]
+    reported = np.stack([record.live.get(r.index, r.T_wc) for r in known])
+    true = np.stack([record.truth[r.index] for r in known])
+    return absolute_error(to_scale(reported, true)[0] if record.monocular else reported, true).rmse
 
 
 def ate_per_frame(record: RunRecord) -> dict[int, float]:

@@ -17,6 +17,7 @@ class RunRecord:
     Attributes:
         sequence: its name. dataset: its kind. device: "cpu" or "cuda:N".
         reports: one a processed frame, in order.
+        live: index -> [4, 4] pose of each frame as it was reported; empty until poses are corrected.
         truth: index -> [4, 4] true camera-to-world pose, where known.
         monocular: whether the trajectory has no scale of its own.
         skipped: index -> why the frame could not be used.
@@ -34,6 +35,7 @@ class RunRecord:
     dataset: str
     device: str
     reports: list[StepReport] = field(default_factory=list)
+    live: dict[int, Float64] = field(default_factory=dict)
     truth: dict[int, Float64] = field(default_factory=dict)
     skipped: dict[int, str] = field(default_factory=dict)
     monocular: bool = False
@@ -52,5 +54,6 @@ class RunRecord:
         return {r.index: r.T_wc for r in self.reports}
 
     def correct(self, poses: dict[int, Float64]) -> None:
-        """Replace the poses of the frames in ``poses``: fitted after they were reported."""
+        """Replace the poses of the frames in ``poses``: they became known after they were reported."""
+        self.live = self.live or self.poses()
         self.reports = [replace(r, T_wc=poses.get(r.index, r.T_wc)) for r in self.reports]

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The run folder: what a run leaves, file by file.
 
-``trajectory.txt``, ``trajectory_gt.txt``, ``map.ply``, ``objects.json``, ``classifier.npz``,
-``metrics.json``, ``frames.csv``, ``object_scores.csv`` and ``renders/``; the command adds ``config.toml`` and
-``camera.json``.
+``trajectory.txt``, ``trajectory_live.txt``, ``trajectory_gt.txt``, ``map.ply``, ``objects.json``,
+``classifier.npz``, ``metrics.json``, ``frames.csv``, ``object_scores.csv`` and ``renders/``; the command adds
+``config.toml`` and ``camera.json``.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ OUTPUTS = (
     "config.toml",
     "camera.json",
     "trajectory.txt",
+    "trajectory_live.txt",
     "trajectory_gt.txt",
     "map.ply",
     "objects.json",
@@ -54,6 +55,9 @@ FRAME_COLUMNS: tuple[str, ...] = (
     "latency_ms",
     "late_ms",
     "frames_behind",
+    "loop_ms",
+    "loop_with",
+    "loop_moved_cm",
     "gaussians",
     "loss",
     "ate_cm",
@@ -86,9 +90,14 @@ def write_trajectory(folder: Path, reports: Sequence[StepReport]) -> None:
 
 
 def write_trajectories(folder: Path, record: RunRecord) -> None:
-    """Write ``trajectory.txt`` and, where any true pose is known, ``trajectory_gt.txt``."""
+    """Write ``trajectory.txt``, as finally estimated, and ``trajectory_live.txt``, as tracked.
+
+    Where any true pose is known, ``trajectory_gt.txt``, too.
+    """
     reports = record.reports
     write_trajectory(folder, reports)
+    live = [record.live.get(r.index, r.T_wc) for r in reports]
+    write_tum(folder / "trajectory_live.txt", [r.timestamp for r in reports], live)
     known = [r for r in reports if r.index in record.truth]
     if known:
         poses = [record.truth[r.index] for r in known]

@@ -30,6 +30,7 @@ class FakeSlam:
         self.camera, self.device, self.scheduler = camera, device, scheduler
         self.refined = 0
         self.keyframe_indices, self.voting_indices = [0, 1], [3]
+        self.loops = SimpleNamespace(stay_open="")
         self.counts = {"tracking_keyframes": 1, "mapping_keyframes": 1, "frames_lost": 0}
 
     def track_frame(self, frame):

@@ -25,6 +25,19 @@ def test_trajectories(record, tmp_path):
     np.testing.assert_allclose(poses[:, 0, 3], [0, 0.24])
 
 
+def test_poses_corrected_later_leave_what_was_reported_in_a_file_of_its_own(record, tmp_path):
+    true = {0: np.eye(4), 3: np.eye(4)}
+    true[3][0, 3] = 0.24
+    record.correct(true)
+    record.correct(true)  # what was reported is what came first
+    run_folder.write_trajectories(tmp_path, record)
+    np.testing.assert_allclose(read_tum(tmp_path / "trajectory.txt")[1][:, 0, 3], [0, 0.1, 0.24])
+    np.testing.assert_allclose(read_tum(tmp_path / "trajectory_live.txt")[1][:, 0, 3], [0, 0.1, 0.2])
+    metrics = metrics_of(record, wall_s=1.0, gaussians=0)
+    assert metrics["ate_rmse_cm"] == pytest.approx(0.0, abs=1e-9)
+    assert metrics["ate_live_rmse_cm"] == pytest.approx(2.0)  # 4 cm, shared by alignment
+
+
 def test_no_truth_no_file(record, tmp_path):
     record.truth = {}
     run_folder.write_trajectories(tmp_path, record)

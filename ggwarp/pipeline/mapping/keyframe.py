@@ -200,6 +200,11 @@ class Keyframes(Sequence[Keyframe], Stateful):
         T_cw = to_host(self.states[number].T_cw)[0].astype(np.float64)
         return se3.inverse(se3.orthonormalised(T_cw))
 
+    def set_pose(self, number: int, T_wc: Float64) -> None:
+        """Put keyframe ``number`` at ``T_wc`` [4, 4]; what Adam remembers of its pose is in its camera."""
+        T_cw = se3.inverse(se3.orthonormalised(T_wc))
+        self.states[number].T_cw.assign(T_cw[None].astype(np.float32))
+
     def exposure(self, number: int) -> Exposure:
         """Return the exposure of keyframe ``number`` (-1: the newest) as it is now."""
         values = to_host(self.states[number].exposure)[0].tolist()

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import warp as wp
 
+from ggwarp.geometry.pose_correction import PoseCorrection
+from ggwarp.kernels.optim.rigid_motion import move_gaussians
 from ggwarp.map.covisibility import Covisibility
 from ggwarp.map.gaussian_map import GaussianMap
 from ggwarp.map.gaussians import Gaussians
@@ -153,6 +155,22 @@ class Mapper(Stateful):
         self.map.append(new)
         self._optimiser.add(upload(measured, T_wc, training, exposure, device=self._device))
         self._drop_unconfirmed()
+
+    def move(self, correction: PoseCorrection) -> None:
+        """Let keyframes follow a closed loop, and each Gaussian its keyframe, with Adam's memory of it."""
+        motions = correction.at(self.keyframe_indices)
+        if not len(motions):
+            return
+        for number, motion in enumerate(motions):
+            if (motion != np.eye(4)).any():
+                self._keyframes.set_pose(number, motion @ self._keyframes.pose(number))
+        fields = self.map.fields
+        move_gaussians(
+            wp.array(motions.astype(np.float32), dtype=wp.mat44, device=self._device),
+            count=self.map.count,
+            **{name: fields[name] for name in ("keyframe_ids", "means", "quats", "first", "second")},
+            device=self._device,
+        )
 
     def _drop_unconfirmed(self) -> None:
         """Remove the Gaussians that too few keyframes of a full window see."""

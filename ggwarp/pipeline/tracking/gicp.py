@@ -10,6 +10,7 @@ import numpy as np
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
+from ggwarp.geometry.pose_correction import PoseCorrection
 from ggwarp.pipeline.tracking.motion_model import MotionModel, depth_time, position_std
 from ggwarp.pipeline.tracking.preprocess import Observation, ObservationConfig, observe
 from ggwarp.pipeline.tracking.relocalisation import Relocaliser, ViewConsistency
@@ -54,6 +55,9 @@ stage; wider in coarse stages, in the ratio of their radii."""
 _MIN_POINTS = 200
 """A frame with fewer points is lost."""
 
+_LOST_OVERLAP = 0.2
+"""A frame with a smaller share of points that lie on the map is lost."""
+
 _POOR_OVERLAP = 0.4
 """A frame with a smaller share of matched points is poor."""
 
@@ -70,10 +74,7 @@ _CLEAR_OVERLAP = 0.9
 
 @dataclass(frozen=True)
 class GicpConfig(ObservationConfig):
-    """How a frame is registered, and when its pose is accepted."""
-
-    lost_overlap: float = 0.2
-    """A frame with a smaller share of points that lie on the map is lost."""
+    """How a frame is registered."""
 
 
 class GicpTracker(Stateful):
@@ -137,7 +138,8 @@ class GicpTracker(Stateful):
             return self._lose(frame, predicted, seen, found.distances2, reason)
         self._motion = self._motion.updated(T_wd, depth_time(frame))
         self._relocaliser.remember(frame, T_wd)
-        return _result(T_wd, self._motion.to_colour(frame), seen, found.distances2, verdict, reason)
+        result = _result(T_wd, self._motion.to_colour(frame), seen, found.distances2, verdict, reason)
+        return replace(result, information=found.fit.information)
 
     def _too_few(self, seen: Observation) -> str:
         return f"{seen.count} depth points, {_MIN_POINTS} needed"
@@ -157,6 +159,12 @@ class GicpTracker(Stateful):
 
     def on_pose_corrected(self, T_wc: Float64) -> None:
         """The points that poses rest on stay where they are, whatever becomes of a keyframe's pose."""
+
+    def on_map_moved(self, correction: PoseCorrection, index: int) -> None:
+        """Follow the map's points, which a closed loop has moved; ``index``: of the last frame."""
+        self._relocaliser.move(correction)
+        if self._motion is not None:
+            self._motion.T_wc = se3.orthonormalised(correction.at([index])[0] @ self._motion.T_wc)
 
     def to_colour(self, frame: Frame) -> Float64:
         """Return the motion [4, 4] from the camera of the last frame's depth to that of its colour."""
@@ -221,7 +229,7 @@ class GicpTracker(Stateful):
         std, jump_reason = position_std(fit.information), self._jump(found, predicted)
         overlap_reason = f"overlap {overlap:.2f} with the map"
         std_reason = f"position free to slide by {std:.3f} m"
-        if overlap < self._config.lost_overlap:
+        if overlap < _LOST_OVERLAP:
             return Verdict.LOST, overlap_reason
         if not np.isfinite(std):
             return Verdict.LOST, "the geometry does not fix the pose"

@@ -8,7 +8,12 @@ from ggwarp.types import Frame, MapSnapshot, TrackResult
 
 
 class GivenPoses(GicpTracker):
-    """Takes ``Frame.T_wc`` as the pose, and the overlap there; tracks frames that have none."""
+    """Takes ``Frame.T_wc`` as the pose, and the overlap there; tracks frames that have none.
+
+    Loops stay open: the poses are right.
+    """
+
+    on_map_moved = None  # pyright: ignore[reportAssignmentType]
 
     def track(self, frame: Frame, target: MapSnapshot) -> TrackResult:
         """Return the frame's own pose, or the registered one where it has none."""

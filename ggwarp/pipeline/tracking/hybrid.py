@@ -10,6 +10,7 @@ import numpy as np
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
+from ggwarp.geometry.pose_correction import PoseCorrection
 from ggwarp.map.renderer import Renderer
 from ggwarp.pipeline.tracking.gicp import MAX_POSITION_STD, GicpConfig, GicpTracker
 from ggwarp.pipeline.tracking.motion_model import depth_time, position_std
@@ -99,6 +100,10 @@ class HybridTracker(Stateful):
 
     def on_pose_corrected(self, T_wc: Float64) -> None:
         """The points that poses rest on stay where they are, whatever becomes of a keyframe's pose."""
+
+    def on_map_moved(self, correction: PoseCorrection, index: int) -> None:
+        """Follow the map, which a closed loop has moved; ``index``: of the last frame."""
+        self._gicp.on_map_moved(correction, index)
 
     def _weak(self) -> bool:
         """Whether geometry alone leaves the position uncertain."""

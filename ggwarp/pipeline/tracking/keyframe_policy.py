@@ -57,6 +57,10 @@ class KeyframePolicy(Protocol):
         """Take note that the last keyframe's pose [4, 4] was corrected."""
         ...
 
+    def on_map_moved(self, motion: Float64) -> None:
+        """Take note that the map was moved, here by ``motion`` [4, 4] of the world."""
+        ...
+
 
 class OverlapKeyframes(Stateful):
     """GS-ICP-SLAM's policy: overlap with the map, and a fixed interval in between."""
@@ -86,6 +90,9 @@ class OverlapKeyframes(Stateful):
 
     def on_pose_corrected(self, T_wc: Float64) -> None:
         """Nothing here depends on where keyframes are."""
+
+    def on_map_moved(self, motion: Float64) -> None:
+        """Nothing here depends on where the map is."""
 
 
 @dataclass(frozen=True)
@@ -131,6 +138,10 @@ class CovisibilityKeyframes(Stateful):
     def on_pose_corrected(self, T_wc: Float64) -> None:
         """Take note that the last keyframe's pose was corrected to ``T_wc`` [4, 4]."""
         self._last = T_wc
+
+    def on_map_moved(self, motion: Float64) -> None:
+        """Take note that the map was moved, here by ``motion`` [4, 4] of the world."""
+        self._last = None if self._last is None else motion @ self._last
 
     def _due(self, T_wc: Float64) -> bool:
         c = self._config

@@ -8,6 +8,7 @@ other one sees, and where their surfaces agree, so must their brightness.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -15,6 +16,7 @@ import numpy as np
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
+from ggwarp.geometry.pose_correction import PoseCorrection
 from ggwarp.runtime.state import Stateful, state_value
 from ggwarp.types import Float32, Float64, Frame
 
@@ -85,7 +87,7 @@ class ViewConsistency:
 
 @state_value
 @dataclass(frozen=True)
-class _View:
+class SmallView:
     """A small picture: grey and depth [h, w], points [n, 3] where depth is, and those pixels' grey [n]."""
 
     grey: Float32
@@ -94,16 +96,83 @@ class _View:
     shades: Float32
 
 
+class SmallViews:
+    """Makes small pictures of frames, and compares two of them."""
+
+    def __init__(self, sensor_camera: Camera) -> None:
+        """Frames' sensor depth is by ``sensor_camera``."""
+        height = max(1, round(_WIDTH * sensor_camera.height / sensor_camera.width))
+        self._camera = sensor_camera.resized(_WIDTH, height)
+
+    def view(self, frame: Frame) -> SmallView:
+        """Return the small picture of ``frame``, which has depth."""
+        image = frame.depth if frame.sensor_depth is None else frame.sensor_depth
+        assert image is not None, "tracked by depth"
+        size = self._camera.width, self._camera.height
+        depth = cv2.resize(image, size, interpolation=cv2.INTER_NEAREST)
+        grey = cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2GRAY).astype(np.float32)
+        grey = cv2.GaussianBlur(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), (3, 3), 0.0)
+        grey, depth = np.asarray(grey, np.float32), np.asarray(depth, np.float32)
+        v, u = np.nonzero(depth > 0.0)
+        points = self._camera.back_project(u, v, depth[v, u]).astype(np.float32)
+        return SmallView(grey, depth, points, grey[v, u])
+
+    def compare(
+        self,
+        view: SmallView,
+        others: Sequence[SmallView],
+        motions: Sequence[Float64],
+        *,
+        slack: float = 1.0,
+        thinning: int = 1,
+    ) -> ViewConsistency:
+        """Return how ``view`` looks beside the ``others``.
+
+        Args:
+            motions: [4, 4] from the camera of ``view`` to that of each of the others.
+            slack: how much larger differences of depth may be.
+            thinning: the others' points that are looked at, every so many-th.
+        """
+        shared, correlation = 0.0, 1.0
+        seen = through = 0
+        for other, T in zip(others, motions, strict=True):
+            here, there, passed = self._project(view, other, T, slack)
+            back, _, passed_back = self._project(_thinned(other, thinning), view, se3.inverse(T), slack)
+            through += passed + passed_back
+            seen += passed + passed_back + len(here) + len(back)
+            if len(here) > shared * len(view.points):
+                shared, correlation = len(here) / len(view.points), _correlation(here, there)
+        return ViewConsistency(shared, through / max(seen, 1), correlation)
+
+    def _project(
+        self, view: SmallView, other: SmallView, T: Float64, slack: float
+    ) -> tuple[Float32, Float32, int]:
+        """Return both greys where points of ``view`` agree with ``other``, and how many it sees through.
+
+        Args:
+            T: [4, 4] from the camera of ``view`` to that of ``other``.
+        """
+        x = view.points @ T[:3, :3].T.astype(np.float32) + T[:3, 3].astype(np.float32)
+        v, u, inside = self._camera.pixels_of(x)
+        u, v, z, shades = u[inside], v[inside], x[inside, 2], view.shades[inside]
+        seen = other.depth[v, u]
+        gap = seen - z
+        tolerance = slack * (_TOLERANCE + _TOLERANCE_GROWTH * z)
+        agree = (seen > 0.0) & (np.abs(gap) < tolerance)
+        passed = int(np.count_nonzero((seen > 0.0) & (gap >= tolerance)))
+        return shades[agree], other.grey[v[agree], u[agree]], passed
+
+
 class Relocaliser(Stateful):
     """Remembers small views with their poses."""
 
-    STATE = ("_views", "_poses", "_signatures")
+    STATE = ("_views", "_indices", "_poses", "_signatures")
 
     def __init__(self, sensor_camera: Camera) -> None:
         """Remember nothing yet; frames' sensor depth is by ``sensor_camera``."""
-        height = max(1, round(_WIDTH * sensor_camera.height / sensor_camera.width))
-        self._camera = sensor_camera.resized(_WIDTH, height)
-        self._views: list[_View] = []
+        self._pictures = SmallViews(sensor_camera)
+        self._views: list[SmallView] = []
+        self._indices: list[int] = []
         self._poses: Float64 = np.zeros((0, 4, 4))
         self._signatures: Float32 = np.zeros((0, 0), np.float32)
 
@@ -114,11 +183,17 @@ class Relocaliser(Stateful):
         """Keep the view of ``frame`` from ``T_wc`` [4, 4], unless one from nearly there is kept."""
         if len(self) and _distances(self._poses, T_wc).min() < _APART:
             return
-        view = self._view(frame)
+        view = self._pictures.view(frame)
         signature = _signature(view)
         self._views.append(view)
+        self._indices.append(frame.index)
         self._poses = np.concatenate([self._poses, T_wc[None]])
         self._signatures = np.concatenate([self._signatures.reshape(-1, len(signature)), signature[None]])
+
+    def move(self, correction: PoseCorrection) -> None:
+        """Let the views follow their frames."""
+        if len(self):
+            self._poses = correction.at(self._indices) @ self._poses
 
     def candidate_poses(self, frame: Frame, bases: list[Float64]) -> list[Float64]:
         """Return poses [4, 4] to register ``frame`` from, the likeliest first.
@@ -126,7 +201,7 @@ class Relocaliser(Stateful):
         Args:
             bases: poses about which to look, beside those of similar views.
         """
-        view = self._view(frame)
+        view = self._pictures.view(frame)
         similar = np.argsort(-(self._signatures @ _signature(view)), kind="stable")[:_SIMILAR]
         side = sorted({s * a for a in _TURNS for s in (1.0, -1.0)}, key=lambda a: (abs(a), a))
         turns = [
@@ -145,58 +220,26 @@ class Relocaliser(Stateful):
 
     def verify(self, frame: Frame, T_wc: Float64) -> ViewConsistency:
         """Return how ``frame`` from ``T_wc`` [4, 4] compares with the nearest views."""
-        return self._compare(self._view(frame), T_wc, views=_COMPARED)
-
-    def _view(self, frame: Frame) -> _View:
-        image = frame.depth if frame.sensor_depth is None else frame.sensor_depth
-        assert image is not None, "tracked by depth"
-        size = self._camera.width, self._camera.height
-        depth = cv2.resize(image, size, interpolation=cv2.INTER_NEAREST)
-        grey = cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2GRAY).astype(np.float32)
-        grey = cv2.GaussianBlur(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), (3, 3), 0.0)
-        grey, depth = np.asarray(grey, np.float32), np.asarray(depth, np.float32)
-        v, u = np.nonzero(depth > 0.0)
-        points = self._camera.back_project(u, v, depth[v, u]).astype(np.float32)
-        return _View(grey, depth, points, grey[v, u])
+        return self._compare(self._pictures.view(frame), T_wc, views=_COMPARED)
 
     def _compare(
-        self, view: _View, T_wc: Float64, *, views: int, slack: float = 1.0, thinning: int = 1
+        self, view: SmallView, T_wc: Float64, *, views: int, slack: float = 1.0, thinning: int = 1
     ) -> ViewConsistency:
-        shared, correlation = 0.0, 1.0
-        seen = through = 0
-        for i in np.argsort(_distances(self._poses, T_wc), kind="stable")[:views]:
-            other = self._views[i]
-            T = se3.inverse(self._poses[i]) @ T_wc
-            here, there, passed = self._project(view, other, T, slack)
-            back, _, passed_back = self._project(_thinned(other, thinning), view, se3.inverse(T), slack)
-            through += passed + passed_back
-            seen += passed + passed_back + len(here) + len(back)
-            if len(here) > shared * len(view.points):
-                shared, correlation = len(here) / len(view.points), _correlation(here, there)
-        return ViewConsistency(shared, through / max(seen, 1), correlation)
-
-    def _project(self, view: _View, other: _View, T: Float64, slack: float) -> tuple[Float32, Float32, int]:
-        """Return both greys where points of ``view`` agree with ``other``, and how many it sees through.
-
-        Args:
-            T: [4, 4] from the camera of ``view`` to that of ``other``.
-        """
-        x = view.points @ T[:3, :3].T.astype(np.float32) + T[:3, 3].astype(np.float32)
-        v, u, inside = self._camera.pixels_of(x)
-        u, v, z, shades = u[inside], v[inside], x[inside, 2], view.shades[inside]
-        seen = other.depth[v, u]
-        gap = seen - z
-        tolerance = slack * (_TOLERANCE + _TOLERANCE_GROWTH * z)
-        agree = (seen > 0.0) & (np.abs(gap) < tolerance)
-        passed = int(np.count_nonzero((seen > 0.0) & (gap >= tolerance)))
-        return shades[agree], other.grey[v[agree], u[agree]], passed
+        nearest = np.argsort(_distances(self._poses, T_wc), kind="stable")[:views]
+        return self._pictures.compare(
+            view,
+            [self._views[i] for i in nearest],
+            [se3.inverse(self._poses[i]) @ T_wc for i in nearest],
+            slack=slack,
+            thinning=thinning,
+        )
 
 
-def _thinned(view: _View, step: int) -> _View:
-    return view if step == 1 else _View(view.grey, view.depth, view.points[::step], view.shades[::step])
+def _thinned(view: SmallView, step: int) -> SmallView:
+    return view if step == 1 else SmallView(view.grey, view.depth, view.points[::step], view.shades[::step])
 
 
-def _signature(view: _View) -> Float32:
+def _signature(view: SmallView) -> Float32:
     """Return a tiny picture of grey and nearness as a vector of length 1: products say what is alike."""
     nearness = np.divide(1.0, view.depth, out=np.zeros_like(view.depth), where=view.depth > 0.0)
     parts = []

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from ggwarp.geometry.camera import Camera
+from ggwarp.geometry.pose_correction import PoseCorrection
 from ggwarp.map.renderer import Renderer
 from ggwarp.pipeline.tracking.gicp import GicpConfig, GicpTracker
 from ggwarp.pipeline.tracking.given_poses import GivenPoses
@@ -49,6 +50,15 @@ class Tracker(Protocol):
         ...
 
 
+@runtime_checkable
+class FollowsMap(Protocol):
+    """A tracker that goes on where a closed loop has moved the map; with another one loops stay open."""
+
+    def on_map_moved(self, correction: PoseCorrection, index: int) -> None:
+        """Take note that the map, and the poses of all frames up to the last, ``index``, were moved."""
+        ...
+
+
 @dataclass(frozen=True)
 class TrackerContext:
     """What a tracker may be built from.
@@ -86,6 +96,9 @@ class TrackingConfig:
     """How poses are found. gicp registers depth to the map's points; photometric looks for the pose at which
     the map looks like the picture; hybrid asks colour where geometry leaves the pose uncertain; ground-truth
     takes the data set's own."""
+    loops: bool = True
+    """Close loops: where a place is seen again, poses and the map are pulled together. It needs depth and a
+    tracker that registers it, gicp or hybrid."""
     gicp: GicpConfig = field(default_factory=GicpConfig)
     refinement: RefinementConfig = field(default_factory=RefinementConfig)
     initialisation: InitialisationConfig = field(default_factory=InitialisationConfig)

@@ -299,4 +299,4 @@ def test_every_option_is_documented():
 
     for config in (GicpConfig, ObservationConfig, TrackableConfig):
         source = inspect.getsource(config)
-        assert source.count('"""') >= 2 * (len(vars(config)["__annotations__"]) + 1)
+        assert source.count('"""') >= 2 * (len(inspect.get_annotations(config)) + 1)

@@ -6,6 +6,7 @@ import pytest
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
+from ggwarp.geometry.pose_correction import PoseCorrection
 from ggwarp.pipeline.tracking.gicp import GicpConfig, GicpTracker
 from ggwarp.pipeline.tracking.point_map import TrackableConfig, TrackableMap
 from ggwarp.pipeline.tracking.relocalisation import MAX_CANDIDATES, Relocaliser
@@ -129,3 +130,18 @@ def test_recovery_is_the_same_to_the_bit():
         walk = Walk()
         runs.append([walk.track(i, turned(angle)).T_wc for i, angle in enumerate((0.3, 0.6, 3.3, 0.1), 1)])
     np.testing.assert_array_equal(runs[0], runs[1])
+
+
+def test_a_tracker_goes_on_in_a_map_that_was_moved():
+    walk = Walk()
+    for i in range(1, 4):
+        walk.track(i, turned(0.25 * i))
+    motion = se3.se3_exp([0.4, -0.2, 0.1, 0.0, 0.0, 0.7])
+    correction = PoseCorrection((0,), motion[None])
+    walk.map.move(correction)
+    walk.tracker.on_map_moved(correction, 3)
+    for i, angle in enumerate((1.0, 0.2), 4):  # on, and back by more than it may have moved
+        found = walk.track(i, turned(angle))
+        assert found.verdict is not Verdict.LOST
+        error = se3.se3_log(se3.inverse(motion @ turned(angle)) @ found.T_wc)
+        assert np.abs(error).max() < 0.02

@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Loop closing: keyframes that see a place again pull the trajectory, and the map with it, together.
+
+A false loop is worse than none. One that contradicts the poses as they are counts only where features agree
+in number, where the two views do not see through each other and look alike, and where another pair of
+keyframes says the same.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from ggwarp.geometry import se3
+from ggwarp.geometry.camera import Camera
+from ggwarp.geometry.pose_correction import PoseCorrection
+from ggwarp.pipeline.loops.feature_alignment import DepthNoise, FeatureAligner
+from ggwarp.pipeline.loops.features import FeatureExtractor, match_features
+from ggwarp.pipeline.loops.places import SEPARATE, Place, candidates, far_enough
+from ggwarp.pipeline.loops.pose_graph import MeasuredMotion, optimise_poses
+from ggwarp.pipeline.loops.recognition import VisualIndex
+from ggwarp.pipeline.tracking.relocalisation import SmallViews
+from ggwarp.runtime.state import Stateful
+from ggwarp.types import Float64, Frame, TrackResult, Verdict
+
+_NEIGHBOUR_INLIERS, _INLIERS = 10, 20
+"""Matched features that agree, at least: between neighbours in time, and between others."""
+
+_INLIER_SHARE = 0.3
+"""Their share of the matches, at least."""
+
+_LOOSENESS = 0.002
+"""What no measurement between two keyframes is better than, metres and radians: calibration, rolling shutter,
+depth and colour not taken at once."""
+
+_TRACKING_SLACK = 0.01
+"""Tracking is not believed beyond this share of a motion: bias that its covariance does not know of."""
+
+_LONGEST, _LONGEST_POOR = 10, 2
+"""A place begins after so many frames at most, and where poses are poor: tracking that slides does not know
+how far the camera has gone, but features do."""
+
+_POOR = 10.0
+"""How much larger a tracked motion's deviation is than stated where a frame on the way was poor or lost."""
+
+_UNKNOWN = 0.02
+"""Standard deviation of a tracked motion where the tracker states none, metres and radians."""
+
+_MEMORY = 10
+"""A loop waits for a second opinion while so many places come."""
+
+_AGREEMENT = 0.3
+"""Two loops say the same where their corrections differ by less than this share of them."""
+
+
+@dataclass(frozen=True)
+class Closure:
+    """A loop that was closed.
+
+    Attributes:
+        correction: how the poses change.
+        frame, seen_before: frames that show the same place.
+        moved: the farthest that anything moved, metres.
+        seconds: what it took.
+    """
+
+    correction: PoseCorrection
+    frame: int
+    seen_before: int
+    moved: float
+    seconds: float
+
+
+class LoopCloser(Stateful):
+    """Watches tracked frames; says how poses change when a place is seen again.
+
+    Attributes:
+        seconds: spent so far.
+    """
+
+    STATE = ("_looks", "_places", "_motions", "_waiting", "_doubtful", "seconds")
+
+    def __init__(
+        self, camera: Camera, sensor_camera: Camera, depth_noise: DepthNoise, *, least_move: float
+    ) -> None:
+        """Know no place yet.
+
+        Args:
+            camera, sensor_camera: of the frames' pictures and of their sensor depth.
+            depth_noise: depths, metres -> standard deviations of readings, metres.
+            least_move: poses are left alone where nothing would move farther, metres.
+        """
+        self._extractor = FeatureExtractor(camera, sensor_camera)
+        self._aligner = FeatureAligner(camera, depth_noise)
+        self._pictures = SmallViews(sensor_camera)
+        self._least_move = least_move
+        self._looks = VisualIndex()
+        self._places: list[Place] = []
+        self._motions: list[MeasuredMotion] = []
+        self._waiting: list[MeasuredMotion] = []
+        self._doubtful = False
+        self.seconds = 0.0
+
+    def observe(self, frame: Frame, result: TrackResult) -> Closure | None:
+        """Take in a tracked frame; return the loop that it closes, if it does.
+
+        Poses are then those before the correction: ``correction.at([index])[0] @ T_wc`` are those after.
+        """
+        started = time.perf_counter()
+        closure = None
+        self._doubtful |= result.verdict is not Verdict.CONVERGED
+        if self._is_due(frame, result):
+            self._add(frame, result)
+            closure = self._close(started)
+            self._doubtful = False
+        self.seconds += time.perf_counter() - started
+        return closure
+
+    def _is_due(self, frame: Frame, result: TrackResult) -> bool:
+        if result.verdict is Verdict.LOST or result.points is None or not len(result.points.points):
+            return False
+        if not self._places or far_enough(self._places[-1], result.T_wc):
+            return True
+        longest = _LONGEST_POOR if result.verdict is Verdict.POOR else _LONGEST
+        return frame.index - self._places[-1].index >= longest
+
+    def _add(self, frame: Frame, result: TrackResult) -> None:
+        assert result.points is not None
+        features = self._extractor.extract(frame)
+        depth = float(np.median(result.points.points[:, 2]))
+        place = Place(frame.index, result.T_wc, depth, features, self._pictures.view(frame))
+        self._places.append(place)
+        self._looks.add(features.descriptors)
+        number = len(self._places) - 1
+        if number:
+            self._motions.append(self._tracked(number, result))
+        for a in range(max(number - 2, 0), number):
+            motion = self._measure(a, number, _NEIGHBOUR_INLIERS)
+            if motion is not None:
+                self._motions.append(motion)
+        for a in candidates(self._places, self._looks):
+            motion = self._measure(a, number, _INLIERS)
+            if motion is None or not self._looks_true(motion):
+                continue
+            agrees = self._displacement(motion) <= self._least_move
+            (self._motions if agrees else self._waiting).append(motion)
+
+    def _tracked(self, b: int, result: TrackResult) -> MeasuredMotion:
+        """Return the motion since the last place as it was tracked."""
+        T_ab = se3.inverse(self._places[b - 1].T_wc) @ self._places[b].T_wc
+        covariance = _UNKNOWN**2 * np.eye(6)
+        if result.information is not None and np.linalg.eigvalsh(result.information)[0] > 0.0:
+            covariance = 2.0 * np.linalg.inv(result.information)  # both ends
+        size = np.linalg.norm(se3.se3_log(T_ab))
+        deviation = _LOOSENESS + _TRACKING_SLACK * float(size)
+        covariance = covariance + deviation**2 * np.eye(6)
+        return MeasuredMotion(b - 1, b, T_ab, covariance * (_POOR**2 if self._doubtful else 1.0))
+
+    def _measure(self, a: int, b: int, least: int) -> MeasuredMotion | None:
+        """Return the motion between two places by their features; None where too few agree."""
+        one, other = self._places[a].features, self._places[b].features
+        matches = match_features(one, other)
+        if len(matches) < least:
+            return None
+        rows, columns = matches.T
+        found = self._aligner.align(one.pixels[rows], one.points[rows], other.points[columns], seed=(a, b))
+        if found is None or found.count < max(least, _INLIER_SHARE * len(matches)):
+            return None
+        covariance = np.linalg.inv(found.information) + _LOOSENESS**2 * np.eye(6)
+        return MeasuredMotion(a, b, found.T_ab, covariance)
+
+    def _looks_true(self, motion: MeasuredMotion) -> bool:
+        """Whether the two views, so placed, neither see through each other nor look different."""
+        T_ab, a, b = motion.T_ab, self._places[motion.a], self._places[motion.b]
+        return self._pictures.compare(b.view, [a.view], [T_ab]).is_consistent
+
+    def _correction_by(self, motion: MeasuredMotion) -> Float64:
+        """Return the motion [4, 4] of the world that brings place b to where a says it is."""
+        a, b = self._places[motion.a], self._places[motion.b]
+        return a.T_wc @ motion.T_ab @ se3.inverse(b.T_wc)
+
+    def _displacement(self, motion: MeasuredMotion) -> float:
+        return self._places[motion.b].displacement(self._correction_by(motion))
+
+    def _close(self, started: float) -> Closure | None:
+        """Close the loops that wait and are confirmed, where anything moves by that."""
+        newest = len(self._places) - 1
+        self._waiting = [m for m in self._waiting if newest - m.b <= _MEMORY]
+        confirmed = [m for m in self._waiting if any(self._confirms(other, m) for other in self._waiting)]
+        if not any(m.b == newest for m in confirmed):
+            return None
+        before = np.stack([p.T_wc for p in self._places])
+        after = optimise_poses(before, [*self._motions, *confirmed])
+        motions = after @ np.linalg.inv(before)
+        moved = max(p.displacement(motion) for p, motion in zip(self._places, motions, strict=True))
+        if moved <= self._least_move:
+            return None
+        self._waiting = [m for m in self._waiting if not any(m is other for other in confirmed)]
+        self._motions += confirmed
+        for place, T_wc in zip(self._places, after, strict=True):
+            place.T_wc = se3.orthonormalised(T_wc)
+        correction = PoseCorrection(tuple(p.index for p in self._places), motions)
+        loop = max(confirmed, key=lambda m: m.b - m.a)
+        seen_before, frame = self._places[loop.a].index, self._places[newest].index
+        return Closure(correction, frame, seen_before, moved, time.perf_counter() - started)
+
+    def _confirms(self, one: MeasuredMotion, other: MeasuredMotion) -> bool:
+        """Whether two loops that share no view say the same."""
+        if (one.b == other.b and abs(one.a - other.a) < SEPARATE) or one.a == other.a:
+            return False
+        place = self._places[other.b]
+        correction, difference = self._correction_by(other), self._correction_by(one)
+        difference = difference @ se3.inverse(correction)
+        allowed = self._least_move + _AGREEMENT * place.displacement(correction)
+        return place.displacement(difference) <= allowed

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Loops on the tracker's side: whether a run closes them, and what of tracking follows when it does."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+
+from ggwarp.geometry import se3
+from ggwarp.geometry.camera import Camera
+from ggwarp.pipeline.loops.loop_closer import Closure, LoopCloser
+from ggwarp.pipeline.loops.pose_graph import solver_is_there
+from ggwarp.pipeline.tracking.keyframe_policy import KeyframePolicy
+from ggwarp.pipeline.tracking.point_map import TrackableMap
+from ggwarp.pipeline.tracking.tracker import FollowsMap, Tracker, TrackingConfig
+from ggwarp.runtime.state import Stateful
+from ggwarp.types import Frame, TrackResult
+
+
+class TrackingLoops(Stateful):
+    """Closes loops of the tracker's side, if the run closes any.
+
+    Attributes:
+        stay_open: why loops stay open, one clause; empty: they are closed.
+    """
+
+    STATE = ("_closer",)
+
+    def __init__(
+        self,
+        config: TrackingConfig,
+        cameras: tuple[Camera, Camera],
+        tracker: Tracker,
+        policy: KeyframePolicy,
+        points: TrackableMap,
+    ) -> None:
+        """Know no place yet.
+
+        Args:
+            cameras: of the frames' pictures and of their sensor depth.
+            tracker, policy, points: what follows.
+        """
+        self._tracker, self._policy, self._points = tracker, policy, points
+        self.stay_open = _why_not(tracker, config.loops)
+        # The map takes no notice of points that move by less.
+        least = points.distance
+        self._closer = (
+            None if self.stay_open else LoopCloser(*cameras, config.gicp.depth_noise, least_move=least)
+        )
+
+    def close(
+        self, frame: Frame, result: TrackResult, scope: Callable[[], AbstractContextManager[object]]
+    ) -> tuple[TrackResult, Closure | None, float]:
+        """Take in a tracked frame; return it as corrected, the loop that it closes, and the seconds spent.
+
+        Args:
+            scope: of work on the device.
+        """
+        if self._closer is None:
+            return result, None, 0.0
+        before = self._closer.seconds
+        closure = self._closer.observe(frame, result)
+        if closure is not None:
+            [motion] = closure.correction.at([frame.index])
+            assert isinstance(self._tracker, FollowsMap)
+            with scope():
+                self._points.move(closure.correction)
+                self._tracker.on_map_moved(closure.correction, frame.index)
+            self._policy.on_map_moved(motion)
+            result = dataclasses.replace(result, T_wc=se3.orthonormalised(motion @ result.T_wc))
+        return result, closure, self._closer.seconds - before
+
+
+def _why_not(tracker: Tracker, wanted: bool) -> str:
+    if not wanted:
+        return "--no-loops"
+    if not isinstance(tracker, FollowsMap):
+        return "the tracker keeps no points that could be moved"
+    if not solver_is_there():
+        return "GTSAM is not installed: pip install 'gtsam>=4.3' (Linux and macOS, Python 3.11 or newer)"
+    return ""

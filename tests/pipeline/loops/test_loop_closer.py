@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Places seen again in the built-in office, by a tracker whose poses are made up."""
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+
+from ggwarp.datasets.built_in.synthetic import SyntheticOffice
+from ggwarp.geometry import se3
+from ggwarp.pipeline.loops.loop_closer import LoopCloser
+from ggwarp.types import FramePoints, TrackResult, Verdict
+
+pytest.importorskip("gtsam", reason="no wheels for this Python")
+
+OFFICE = SyntheticOffice(scale=0.2)
+WALK = [*range(0, 45, 5), *range(45, -1, -5)]
+"""There and back again."""
+DRIFT = se3.se3_exp([0.01, 0.0, 0.008, 0.0, 0.006, 0.0])
+"""How much tracking errs from one frame to the next."""
+
+
+@pytest.fixture(scope="module")
+def frames():
+    return {i: OFFICE[i] for i in set(WALK)}
+
+
+def made():
+    return LoopCloser(OFFICE.camera, OFFICE.camera, lambda z: 0.001 + 0.002 * z * z, least_move=0.025)
+
+
+def tracked(T_wc, depth, verdict=Verdict.CONVERGED):
+    points = np.tile(np.float32([0, 0, depth]), (3, 1))
+    seen = FramePoints(points, points, points, points[:, 0], points[:, 0])
+    return TrackResult(T_wc, verdict, points=seen)
+
+
+def walk(frames, drift, closer=None, order=WALK):
+    """Return the closures, and true and estimated poses at the end."""
+    closer = closer or made()
+    closures, true, estimated = [], [], []
+    T = frames[order[0]].T_wc
+    for step, i in enumerate(order):
+        if step:
+            T = T @ se3.inverse(frames[order[step - 1]].T_wc) @ frames[i].T_wc @ drift
+        frame = dataclasses.replace(frames[i], index=step, T_wc=None)
+        closure = closer.observe(frame, tracked(T, float(np.median(frame.depth[frame.depth > 0]))))
+        estimated.append(T)
+        true.append(frames[i].T_wc)
+        if closure is not None:
+            closures.append(closure)
+            estimated = [
+                M @ E for M, E in zip(closure.correction.at(range(step + 1)), estimated, strict=True)
+            ]
+            T = estimated[-1]
+    return closures, np.stack(true), np.stack(estimated)
+
+
+@pytest.fixture(scope="module")
+def drifted(frames):
+    return walk(frames, DRIFT)
+
+
+def errors(true, estimated):
+    return np.linalg.norm(true[:, :3, 3] - estimated[:, :3, 3], axis=1)
+
+
+def test_a_place_seen_again_takes_the_drift_away(drifted):
+    closures, true, estimated = drifted
+    without = true[0]
+    for a, b in itertools.pairwise(true):
+        without = without @ se3.inverse(a) @ b @ DRIFT
+    assert closures and all(c.seen_before < c.frame and c.moved > 0.025 for c in closures)
+    drift = float(np.linalg.norm(without[:3, 3] - true[-1, :3, 3]))
+    assert drift > 0.15 and errors(true, estimated)[-1] < 0.25 * drift
+    np.testing.assert_allclose(estimated[0], true[0], atol=1e-5)  # the world stays where it is
+
+
+def test_without_drift_nothing_is_moved(frames):
+    closures, _, _ = walk(frames, np.eye(4))
+    assert not closures
+
+
+def test_a_second_run_gives_the_same_bits(frames, drifted):
+    """Frames that are lost or have no points in between are no places."""
+    closer, frame = made(), frames[0]
+    assert closer.observe(frame, tracked(frame.T_wc, 2.0, Verdict.LOST)) is None
+    assert closer.observe(frame, TrackResult(frame.T_wc, Verdict.CONVERGED)) is None
+    one, other = drifted, walk(frames, DRIFT, closer)
+    assert len(one[0]) == len(other[0]) > 0
+    np.testing.assert_array_equal(one[2], other[2])
+
+
+def test_one_picture_out_of_place_moves_nothing(frames):
+    """A single view that looks like an earlier one from far away: nobody else says so."""
+    closer = made()
+    outward = WALK[: len(WALK) // 2]
+    closures, _, estimated = walk(frames, np.eye(4), closer, outward)
+    assert not closures
+    strange = dataclasses.replace(frames[5], index=len(outward), T_wc=None)
+    T = estimated[-1] @ se3.se3_exp([2.0, 0, 0, 0, 1.0, 0])
+    assert closer.observe(strange, tracked(T, 2.0)) is None
