@@ -9,8 +9,10 @@ folder itself.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 from ggwarp.datasets.base import DatasetError, Kind, Masks
 from ggwarp.datasets.calibration import (
@@ -55,7 +57,9 @@ def open_sequence(path: Path, masks: Masks = None, intrinsics: Intrinsics | None
     folder = _colour_folder(path)
     colour = image_files(folder) if folder else []
     if not colour or folder is None:
-        raise DatasetError(f"{path}: the sequence is empty (no images in {', '.join(COLOUR_FOLDERS)})")
+        found = "" if folder is None else f"; {folder.name}/ holds {contents(folder)}"
+        raise DatasetError(f"{path}: the sequence is empty (no images in {', '.join(COLOUR_FOLDERS)}{found})")
+    _refuse_doubles(colour)
     depth_folder = _first(path, DEPTH_FOLDERS)
     depth = image_files(depth_folder, suffixes=DEPTH_SUFFIXES) if depth_folder else []
     if depth_folder is not None and not depth and any(depth_folder.iterdir()):
@@ -65,15 +69,21 @@ def open_sequence(path: Path, masks: Masks = None, intrinsics: Intrinsics | None
         )
     calibration = _calibration(path, image_size(colour[:3]), intrinsics, with_depth=bool(depth))
     pairing = pair_files(colour, depth, "colour images", "depth images")
-    poses, truth, read = _poses(path, colour)
-    entries = _entries(colour, depth, pairing, poses)
-    known = {folder, *([depth_folder] if depth_folder else ()), *read, *(path / n for n in CAMERA_FILES)}
+    truth = _truth(path, colour)
+    entries = _entries(colour, depth, pairing, truth.poses)
+    known = {
+        folder,
+        *([depth_folder] if depth_folder else ()),
+        *truth.read,
+        *(path / n for n in CAMERA_FILES),
+    }
+    unread = unread_entries(path, {*known, *(colour if folder == path else ())})
     source = Source(
         layout=f"a plain folder, {folder.name}/" + (f" and {depth_folder.name}/" if depth_folder else ""),
         pairing=pairing.summary("colour images", "depth images") if depth else "",
-        truth=truth,
-        notes=tuple(pairing.notes),
-        unread=unread_entries(path, {*known, *(colour if folder == path else ())}),
+        truth=truth.text,
+        notes=(*pairing.notes, *truth.notes, *([] if depth else _depth_elsewhere(unread))),
+        unread=unread,
     )
     sequence = FileSequence(path, "folder", entries, calibration, masks=masks, source=source)
     if not (depth and calibration.distortion) or calibration.depth or calibration.depth_distorted is not None:
@@ -83,6 +93,21 @@ def open_sequence(path: Path, masks: Masks = None, intrinsics: Intrinsics | None
     other = FileSequence(path, "folder", entries, bent, masks=masks, source=told)
     prefers = preference(sequence, other)
     return other if prefers is not None and prefers > LEAST_PREFERENCE else sequence
+
+
+def _refuse_doubles(colour: list[Path]) -> None:
+    """Refuse images of one name and several kinds, each of which would be a frame."""
+    seen: dict[str, Path] = {}
+    for path in colour:
+        if (other := seen.setdefault(path.stem, path)) is not path:
+            raise DatasetError(f"{path.parent}: {other.name} and {path.name} have one name; keep one kind")
+
+
+def _depth_elsewhere(unread: tuple[str, ...]) -> Iterator[str]:
+    """Yield which folders that are not read probably hold the depth that is missed."""
+    for entry in unread:
+        if "depth" in entry.split("/")[0].lower() and "/ (" in entry:
+            yield f"{entry} is not read: depth is read from {', '.join(f'{name}/' for name in DEPTH_FOLDERS)}"
 
 
 def _calibration(
@@ -129,22 +154,34 @@ def _camera_file(path: Path) -> bool:
     return any((path / name).is_file() for name in CAMERA_FILES)
 
 
-def _poses(path: Path, colour: list[Path]) -> tuple[list[Float64 | None], str, list[Path]]:
-    """Return each image's pose, where from in words, and the files or folders that were read."""
-    file = path / "traj.txt"
+class _Truth(NamedTuple):
+    """Each image's true pose, where from in words, what was read, and what is odd about it."""
+
+    poses: list[Float64 | None]
+    text: str
+    read: list[Path]
+    notes: list[str]
+
+
+def _truth(path: Path, colour: list[Path]) -> _Truth:
+    count, file, notes = len(colour), path / "traj.txt", []
+    folder = _first(path, POSE_FOLDERS)
     if file.is_file():
         rows = read_matrices(file)
-        poses = match_poses(colour, rows)
-        known = sum(pose is not None for pose in poses)
-        return poses, f"traj.txt, poses of {known} of {len(colour)} frames, camera-to-world", [file]
-    folder = _first(path, POSE_FOLDERS)
-    if folder is None:
-        return [None] * len(colour), "", []
-    files = sorted(folder.glob("*.txt"))
-    partners = pair_files(colour, files, "colour images", "poses").partners
-    poses = read_matrix_files([files[i] if i >= 0 else None for i in partners])
+        if len(rows) != count:
+            notes.append(
+                f"traj.txt has {len(rows)} poses for {count} images; each image takes the line of its number"
+            )
+        poses, read = match_poses(colour, rows), file
+    elif folder is not None:
+        files = sorted(folder.glob("*.txt"))
+        partners = pair_files(colour, files, "colour images", "poses").partners
+        poses, read = read_matrix_files([files[i] if i >= 0 else None for i in partners]), folder
+    else:
+        return _Truth([None] * count, "", [], [])
     known = sum(pose is not None for pose in poses)
-    return poses, f"{folder.name}/, poses of {known} of {len(colour)} frames, camera-to-world", [folder]
+    name = read.name + "/" * (read != file)
+    return _Truth(poses, f"{name}, poses of {known} of {count} frames, camera-to-world", [read], notes)
 
 
 KIND = Kind(

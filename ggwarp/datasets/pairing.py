@@ -9,7 +9,6 @@ No file is paired twice.
 from __future__ import annotations
 
 import itertools
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from decimal import Decimal
@@ -18,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from ggwarp.datasets.base import DatasetError
+from ggwarp.datasets.formats.names import CLOCKS, DECIMAL, WHOLE, columns_of, number_columns, number_pattern
 from ggwarp.types import Float64
 
 TIME_TOLERANCE = 0.02
@@ -25,8 +25,6 @@ TIME_TOLERANCE = 0.02
 
 _BESIDE = 16
 """Times on either side of one that may be its partners."""
-_DECIMAL = re.compile(r"\d+(?:\.\d+)?")
-_WHOLE = re.compile(r"\d+")
 _EPOCH = ((1e9, 1e10, 1.0), (1e12, 1e13, 1e3), (1e15, 1e16, 1e6), (1e18, 1e19, 1e9))
 """(from, to, units a second) of times counted from 1970, in s, ms, us and ns: the years 2001 to 2286."""
 _UNITS = {1.0: "s", 1e3: "ms", 1e6: "us", 1e9: "ns"}
@@ -71,7 +69,7 @@ class Pairing:
 
 def in_order(paths: Sequence[Path]) -> list[Path]:
     """Return ``paths`` sorted by the numbers in their names, then by the names."""
-    pattern = _pattern([path.stem for path in paths])
+    pattern = number_pattern([path.stem for path in paths])
 
     def order(path: Path) -> tuple[list[Decimal], str]:
         return [Decimal(number) for number in pattern.findall(path.stem)], path.name
@@ -85,9 +83,9 @@ def frame_numbers(paths: Sequence[Path]) -> list[int | None]:
     A single file's is the last number of its name.
     """
     if len(paths) == 1:
-        found = _WHOLE.findall(paths[0].stem)
+        found = WHOLE.findall(paths[0].stem)
         return [int(found[-1]) if found else None]
-    for column in reversed(_number_columns([path.stem for path in paths])):
+    for column in reversed(number_columns([path.stem for path in paths])):
         numbers = [int(v) if isinstance(v, Decimal) and v == int(v) else None for v in column]
         if len(set(column)) == len(column) and sum(n is None for n in numbers) * 2 < len(numbers):
             return numbers
@@ -184,57 +182,15 @@ def _equal(keys: Sequence[object], others: Sequence[object]) -> list[int] | None
     return [place.get(key, -1) for key in keys]
 
 
-def _pattern(names: Sequence[str]) -> re.Pattern[str]:
-    """Return what a number looks like in ``names``: with decimals, unless these count (1.9, 1.10)."""
-    parts: dict[int, list[tuple[str, str]]] = {}
-    for name in names:
-        for position, number in enumerate(_DECIMAL.findall(name)):
-            whole, point, decimals = number.partition(".")
-            if point:
-                parts.setdefault(position, []).append((whole, decimals))
-    for pairs in parts.values():
-        wholes, widths = {whole for whole, _ in pairs}, {len(decimals) for _, decimals in pairs}
-        if len(pairs) > 1 and len(wholes) == 1 and len(widths) > 1:
-            return _WHOLE
-    return _DECIMAL
-
-
-def _columns(names: Sequence[str]) -> list[tuple[Decimal | str, ...]]:
-    """Return what varies in ``names``, a column of values each; numbers as numbers.
-
-    Most names are of one make: those with another count of numbers stand for themselves in every column.
-    """
-    if not names:
-        return []
-    pattern = _pattern(names)
-    numbers = [pattern.findall(name) for name in names]
-    counts = [len(found) for found in numbers]
-    usual = max(set(counts), key=counts.count)
-    columns: list[list[Decimal | str]] = [[] for _ in range(2 * usual + 1)]
-    for name, found in zip(names, numbers, strict=True):
-        parts: list[Decimal | str] = [name] * (2 * usual + 1)
-        if len(found) == usual:
-            parts[0::2] = pattern.split(name)
-            parts[1::2] = map(Decimal, found)
-        for column, part in zip(columns, parts, strict=True):
-            column.append(part)
-    return [tuple(column) for column in columns if len(set(column)) > 1]
-
-
-def _number_columns(names: Sequence[str]) -> list[tuple[Decimal | str, ...]]:
-    """Return those of :func:`_columns` that are mostly numbers."""
-    return [c for c in _columns(names) if sum(isinstance(v, Decimal) for v in c) * 2 > len(c)]
-
-
 def _by_numbers(names: Sequence[str], others: Sequence[str]) -> list[list[int] | None]:
     """Return the partners by all that varies in the names, and by each number that does."""
     if len(names) == 1 or len(others) == 1:  # nothing varies: the last number is it
         return [_equal([_last_number(n) for n in names], [_last_number(n) for n in others])]
-    mine, theirs = _columns(names), _columns(others)
+    mine, theirs = columns_of(names), columns_of(others)
     found = []
     if mine and theirs:
         found.append(_equal(list(zip(*mine, strict=True)), list(zip(*theirs, strict=True))))
-    mine, theirs = _number_columns(names), _number_columns(others)
+    mine, theirs = number_columns(names), number_columns(others)
     if len(mine) == len(theirs):
         pairs = list(zip(mine, theirs, strict=True))
     else:
@@ -243,19 +199,18 @@ def _by_numbers(names: Sequence[str], others: Sequence[str]) -> list[list[int] |
 
 
 def _last_number(name: str) -> object:
-    numbers = _DECIMAL.findall(name)
+    numbers = DECIMAL.findall(name)
     return Decimal(numbers[-1]) if numbers else name
 
 
 def _by_time(names: Sequence[str], others: Sequence[str]) -> Pairing | None:
-    """Pair by the last numbers that are times in both lists; None where there are none such or no pairs."""
-    for mine in reversed(_number_columns(names)):
-        for theirs in reversed(_number_columns(others)):
-            times = [v for v in (*mine, *theirs) if isinstance(v, Decimal)]
-            if len(times) < len(mine) + len(theirs):
-                continue
+    """Pair by times in the names of both lists; None where there are none such or no pairs."""
+    for read in CLOCKS:
+        for mine, theirs in itertools.product(read(names), read(others)):
+            times = [*mine, *theirs]
             unit = unit_of_times(times)
-            if unit is None:
+            # What does not rise from name to name is the lower part of a time, such as its seconds.
+            if unit is None or any(list(c) != sorted(c) for c in (mine, theirs)):
                 continue
             first = min(times)  # nanoseconds since 1970 have more digits than a float
             stamps = np.array([float(time - first) / unit for time in times])

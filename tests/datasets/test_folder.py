@@ -74,6 +74,7 @@ CAMERA = Camera(24, 16, 20.0, 21.0, 11.5, 7.5)
         ("calibration.txt", "# fx fy cx cy\n20 21 11.5 7.5\n"),
         ("calibration.txt", "20, 21, 11.5, 7.5, 0, 0, 0, 0, 0"),
         ("intrinsics.txt", "20 0 11.5\n0 21 7.5\n0 0 1\n"),
+        ("intrinsics.txt", "20 0 11.5 0\n0 21 7.5 0\n0 0 1 0\n"),
         ("intrinsics.txt", "20 0 11.5 0 21 7.5 0 0 1"),
         ("intrinsics.txt", "20 0 0\n0 21 0\n11.5 7.5 1\n"),
         ("intrinsics.txt", "20 0 11.5 0\n0 21 7.5 0\n0 0 1 0\n0 0 0 1\n"),
@@ -189,6 +190,35 @@ def test_names_that_are_times_are_the_frames_times(make_folder: Maker) -> None:
     frame = open_sequence(folder)[2]
     assert frame.timestamp == 1.0 and frame.depth_timestamp == 1.006
     assert frame.depth is not None and frame.depth[5, 5] == np.float32(1.002)
+
+
+def test_depth_in_a_folder_of_another_name_is_pointed_at(make_folder: Maker) -> None:
+    folder = make_folder(2)
+    (folder / "depth").rename(folder / "aligned_depth")
+    dataset = open_sequence(folder)
+    assert not dataset.has_depth and "aligned_depth/ (2 .png) is not read" in dataset.source.notes[0]
+
+
+def test_images_of_one_name_and_two_kinds_are_refused(make_folder: Maker, sample: SimpleNamespace) -> None:
+    folder = make_folder(2, with_depth=False)
+    sample.save(folder / "color/1.jpg", sample.colour(1))
+    with pytest.raises(DatasetError, match=r"color: 1\.jpg and 1\.png have one name; keep one kind"):
+        open_sequence(folder)
+
+
+def test_what_an_empty_colour_folder_holds_is_said(make_folder: Maker) -> None:
+    folder = make_folder(2, with_depth=False)
+    for path in (folder / "color").iterdir():
+        path.rename(path.with_suffix(".heic"))
+    with pytest.raises(DatasetError, match=r"no images in .*; color/ holds 2 \.heic\)"):
+        open_sequence(folder)
+
+
+def test_poses_of_another_number_are_told(make_folder: Maker, sample: SimpleNamespace) -> None:
+    folder = make_folder(3)
+    (folder / "traj.txt").write_text("\n".join(sample.matrix_row(sample.pose(i)) for i in range(5)))
+    source = open_sequence(folder).source
+    assert source.notes == ("traj.txt has 5 poses for 3 images; each image takes the line of its number",)
 
 
 def test_depth_of_other_names(make_folder: Maker) -> None:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which files belong together: names as recorders write them, times in any unit, names that do not tell."""
 
+from datetime import datetime, timezone
 from pathlib import Path
 
 import numpy as np
@@ -37,6 +38,9 @@ SAME = [
     ("milliseconds", "{ms0}", "{ms1}", "time"),
     ("microseconds", "{us0}", "{us1}", "time"),
     ("nanoseconds", "c{ns0}", "{ns1}", "time"),
+    ("dates", "{date0}", "depth_{date1}", "time"),
+    ("dates with punctuation", "{iso0}", "{iso1}", "time"),
+    ("seconds and nanoseconds", "{sec0}", "{sec1}", "time"),
 ]  # fmt: skip
 
 
@@ -48,6 +52,10 @@ def named(pattern: str, i: int) -> str:
     for n, stamp in enumerate((first, second)):
         short = 100 + 0.503 * i + 0.006 * n
         values |= {f"s{n}": stamp / 1e9, f"short{n}": f"{short:.3f}", f"ns{n}": stamp}
+        date = datetime.fromtimestamp(stamp // 10**9 + 7190, timezone.utc)  # an hour ends on the way
+        values |= {f"date{n}": f"{date:%Y%m%d_%H%M%S}_{stamp // 10**6 % 1000:03d}"}
+        values |= {f"iso{n}": f"{date:%Y-%m-%dT%H-%M-%S}.{stamp // 10**3 % 10**6:06d}"}
+        values |= {f"sec{n}": f"{stamp // 10**9}_{stamp % 10**9:09d}"}
         values |= {f"us{n}": stamp // 10**3, f"ms{n}": stamp // 10**6}
     return pattern.format(**values)
 
@@ -86,6 +94,14 @@ def test_a_file_of_another_make_stands_alone() -> None:
 def test_names_that_do_not_tell_are_refused(colour: list[str], depth: list[str]) -> None:
     with pytest.raises(DatasetError, match=r"depth: the names do not tell which depth images"):
         paired(colour, depth)
+
+
+def test_the_seconds_of_many_minutes_are_no_time() -> None:
+    """They come again every minute: the depth of another minute is as near."""
+    minutes = [f"{minute:02d}m{second:06.3f}" for minute in range(3) for second in (1.0, 21.0, 41.0)]
+    late = [f"{minute:02d}m{second:06.3f}" for minute in range(1, 4) for second in (1.006, 21.006, 41.006)]
+    with pytest.raises(DatasetError, match="the names do not tell"):
+        paired(minutes, late)
 
 
 def test_two_ways_of_counting_are_told() -> None:

@@ -73,7 +73,7 @@ def _read_table(path: Path) -> dict[str, Any]:
     if len(rows) == 1 and len(rows[0]) in (4, 8, 9):
         fx, fy, cx, cy, *distortion = rows[0]
         return {"fx": fx, "fy": fy, "cx": cx, "cy": cy, "distortion": distortion}
-    if len(rows) in (3, 4) and all(len(row) == len(rows) for row in rows):
+    if len(rows) in (3, 4) and {len(row) for row in rows} in ({len(rows)}, {4}):
         return _from_matrix([value for row in rows[:3] for value in row[:3]], path, columns=False)
     raise DatasetError(
         f"{path}: expected one line 'fx fy cx cy [k1 k2 p1 p2 k3]' or a 3x3 matrix, found {len(rows)} lines"

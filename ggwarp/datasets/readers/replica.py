@@ -11,7 +11,7 @@ import logging
 from pathlib import Path
 
 from ggwarp.datasets.base import DatasetError, Kind, Masks
-from ggwarp.datasets.calibration import find_camera_file, read_calibration
+from ggwarp.datasets.calibration import CAMERA_FILES, find_camera_file, read_calibration
 from ggwarp.datasets.images import image_size
 from ggwarp.datasets.pairing import pair_files
 from ggwarp.datasets.poses import read_matrices
@@ -30,7 +30,9 @@ def recognises(path: Path) -> bool:
     if (path / "results").is_dir():
         others = any((path / name).is_dir() for name in ("color", "rgb"))
         return not others or any((path / "results").glob("frame*"))
-    return (path / "images").is_dir() and (path / "depth_images").is_dir()
+    pictures = (path / "images").is_dir() and (path / "depth_images").is_dir()
+    own = any((path / name).is_file() for name in CAMERA_FILES if name != "cam_params.json")
+    return pictures and not own
 
 
 def open_sequence(path: Path, masks: Masks = None) -> FileSequence:
