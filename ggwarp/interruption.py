@@ -22,7 +22,7 @@ class Interruption:
     """Turns the first SIGINT, SIGTERM or SIGHUP into a request to stop after the current step.
 
     While :attr:`at_once` holds, as long as there is nothing to save, it raises KeyboardInterrupt instead. So
-    does a later signal, for a step that does not end; not while something is being saved.
+    does a later signal in a block that is :meth:`breakable`, for a step that does not end.
 
     Attributes:
         number: the first signal's; None: none came.
@@ -33,7 +33,7 @@ class Interruption:
         self.number: int | None = None
         self.at_once = True
         self._asked_at = 0.0
-        self._held = False
+        self._breakable = False
         self._previous: dict[int, Any] = {}
 
     @property
@@ -51,13 +51,13 @@ class Interruption:
         self.number = None
 
     @contextlib.contextmanager
-    def held(self) -> Iterator[None]:
-        """Let nothing end the block early: a request is kept until it is done."""
-        self._held = True
+    def breakable(self) -> Iterator[None]:
+        """Let a later signal end the block: what was done before it is kept by the caller."""
+        self._breakable = True
         try:
             yield
         finally:
-            self._held = False
+            self._breakable = False
 
     def __enter__(self) -> Interruption:
         for name in ("SIGINT", "SIGTERM", "SIGHUP"):
@@ -83,5 +83,5 @@ class Interruption:
         if first:
             self.number, self._asked_at = number, time.monotonic()
         late = time.monotonic() - self._asked_at > _PATIENCE
-        if not self._held and (self.at_once or late):
+        if self.at_once or (late and self._breakable):
             raise Interrupted

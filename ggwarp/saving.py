@@ -88,6 +88,14 @@ class Saver:
         if doubt := self.metrics.get("truth_doubt"):
             self._display.warn(doubt)
 
+    @property
+    def outcome(self) -> str:
+        """How the saving of a run that was neither stopped nor failed went."""
+        count = len(self._record.failures)
+        if count and not self.moved:
+            return f"{count} part{'s' * (count > 1)} failed; the rest is in {self.where}"
+        return f"{'saved' if self.moved else 'results'} in {self.where}"
+
     def save(self, slam: run_folder.System) -> None:
         """Write the run and put it where it belongs.
 

@@ -91,8 +91,7 @@ class Session:
                 if (kept := self.folder.discard()) is not None:
                     self._display.warn(f"kept in {kept}; ggwarp run --resume {kept} goes on")
             raise
-        with contextlib.suppress(KeyboardInterrupt):  # the run is saved
-            self.evaluate()
+        self.evaluate()
         return self.show()
 
     def open(self) -> None:
@@ -169,7 +168,7 @@ class Session:
         self._display.stage("frames", len(reader))
         self._loop_started = time.perf_counter() - record.loop_s
         try:
-            with reader:
+            with self._interruption.breakable(), reader:
                 steps = run_steps(
                     self._slam,
                     reader,
@@ -188,6 +187,9 @@ class Session:
                     self._kept.keep(item)  # for the evaluation
         except SideError as error:
             record.failure = error
+        except KeyboardInterrupt:  # a step did not end: what was done before it is saved
+            if not self._stopped:
+                raise
         record.loop_s = time.perf_counter() - self._loop_started
         record.counts = dict(self._slam.counts)
         if late := messages.lateness(record.reports):
@@ -209,7 +211,10 @@ class Session:
             started = time.perf_counter() - record.refine_s
             while record.refine_iterations < iterations and not self._stopped:
                 try:
-                    self._slam.refine()
+                    with self._interruption.breakable():
+                        self._slam.refine()
+                except KeyboardInterrupt:
+                    break
                 except Exception as error:
                     record.failure = SideError("refinement", f"at iteration {record.refine_iterations}")
                     record.failure.__cause__ = error
@@ -233,8 +238,7 @@ class Session:
     def save(self) -> None:
         """Write all but what comes of comparing pictures; a part that fails is said, the rest is written."""
         self._display.stage("saving")
-        with self._interruption.held():
-            self._saver.save(self._slam)
+        self._saver.save(self._slam)
 
     def evaluate(self) -> None:
         """Compare the map with the frames, and add that to what is saved.
@@ -244,10 +248,10 @@ class Session:
         if self._stopped or (self._ended and not self._saver.moved):
             return
         self._display.stage("evaluating", len(self.record.reports))
-        self._saver.attempt("evaluation", self._compare)
+        with contextlib.suppress(KeyboardInterrupt), self._interruption.breakable():
+            self._saver.attempt("evaluation", self._compare)
         self._display.stage("saving")
-        with self._interruption.held():
-            self._saver.save_tables()
+        self._saver.save_tables()
 
     def show(self) -> int:
         """Say how the run ended, with its figures where it is complete; return the exit code."""
@@ -262,15 +266,8 @@ class Session:
             return self._interruption.exit_code
         display.results(self._saver.metrics, RESULTS)
         self._saver.warn_of_truth()
-        if self._saver.moved:
-            display.conclude(f"saved in {where}")
-            return FAILED
-        if record.failures:
-            count = len(record.failures)
-            display.conclude(f"{count} part{'s' * (count > 1)} failed; the rest is in {where}")
-            return FAILED
-        display.conclude(f"results in {where}")
-        return DONE
+        display.conclude(self._saver.outcome)
+        return FAILED if record.failures else DONE
 
     def _begin(self, folder: Path) -> None:
         """Write what a run folder has from the start."""

@@ -46,12 +46,13 @@ def test_where_there_is_nothing_to_save_it_ends_at_once() -> None:
 def test_a_later_one_ends_a_step_that_does_not_end_but_no_saving(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(interruption, "_PATIENCE", -1.0)
     with Interruption() as asked:
-        with asked.held():
-            for number in SIGNALS:
-                send(number)
+        asked.at_once = False
+        for number in SIGNALS:
+            send(number)
         assert asked.number == signal.SIGINT
-        with pytest.raises(KeyboardInterrupt):
+        with pytest.raises(KeyboardInterrupt), asked.breakable():
             send(signal.SIGINT)
+        send(signal.SIGINT)
 
 
 def test_nohup_is_meant() -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from fake_slam import FRAMES, only_line
-from ggwarp import run, session
+from ggwarp import interruption, run, session
 from ggwarp.datasets import reader
 from ggwarp.io.trajectory import read_tum
 from ggwarp.results import run_folder
@@ -109,3 +109,27 @@ def test_a_signal_before_the_first_frame_leaves_no_trace(scene, fake, monkeypatc
     assert run.main(["--seq", "room9", "--device", "cpu", "--out", "o"]) == 129
     assert only_line(capsys) == "ggwarp: interrupted; nothing was saved"
     assert {p.name for p in Path().iterdir()} == {"data"}
+
+
+@pytest.mark.parametrize("moment", ["on_track", "on_map", "on_refine"])
+def test_a_step_that_does_not_end_is_left_and_the_rest_is_saved(scene, fake, monkeypatch, capsys, moment):
+    """The signal comes again when its patience is over."""
+    monkeypatch.setattr(interruption, "_PATIENCE", 0.05)
+    done = []
+
+    def hang(number):
+        done.append(number)
+        if len(done) == 3:
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(0.1)
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(60)
+
+    monkeypatch.setattr(fake, moment, staticmethod(hang))
+    started = time.monotonic()
+    command = ["--seq", "room9", "--device", "cpu", "--out", "o", "--refine", "5", "--pipelined", "off"]
+    assert run.main(command) == 143
+    assert time.monotonic() - started < 30.0
+    frames = FRAMES if moment == "on_refine" else 2
+    assert f"interrupted after {frames} of 6 frames; saved in o" in capsys.readouterr().out
+    assert len(read_tum(Path("o/trajectory.txt"))[0]) == frames and Path("o/map.ply").is_file()
