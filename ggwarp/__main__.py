@@ -11,6 +11,7 @@ import sys
 from collections.abc import Sequence
 
 from ggwarp import __version__
+from ggwarp.interruption import end_program_after
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "run": ("ggwarp.run", "follow a recording's camera, and learn a map of its room"),
@@ -34,6 +35,8 @@ _LEVELS = {"-v": logging.DEBUG, "--verbose": logging.DEBUG, "-q": logging.WARNIN
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the subcommand that ``arguments`` begin with, and return its exit code."""
+    if arguments is None:
+        end_program_after()
     rest = list(sys.argv[1:] if arguments is None else arguments)
     loudness: list[str] = []
     while rest and rest[0] in _LEVELS:

@@ -14,6 +14,19 @@ _PATIENCE = 5.0
 """Seconds after the first signal in which another one is taken for the same."""
 
 
+_program_ends = False
+
+
+def end_program_after() -> None:
+    """Tell that the program ends when the command has returned.
+
+    Once it was asked to stop, it then hears no signal any more: a second one would change its exit code, or
+    cut off its last words.
+    """
+    global _program_ends
+    _program_ends = True
+
+
 class Interrupted(KeyboardInterrupt):
     """Raised by a signal. Where KeyboardInterrupt itself has passed, Python may end the program by SIGINT."""
 
@@ -75,7 +88,8 @@ class Interruption:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         for number, previous in self._previous.items():
-            signal.signal(number, signal.SIG_DFL if previous is None else previous)
+            over = self.requested and _program_ends
+            signal.signal(number, signal.SIG_IGN if over else previous or signal.SIG_DFL)
         self._previous.clear()
 
     def _request(self, number: int, frame: FrameType | None) -> None:

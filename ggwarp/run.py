@@ -9,7 +9,7 @@ import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from ggwarp.interruption import Interruption
+from ggwarp.interruption import Interruption, end_program_after
 from ggwarp.io.printable import printable
 
 if TYPE_CHECKING:
@@ -25,6 +25,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     or SIGHUP ended it.
     """
     started = time.perf_counter()
+    if arguments is None:
+        end_program_after()
     with Interruption() as interruption:
         try:
             return _main(sys.argv[1:] if arguments is None else list(arguments), interruption, started)

@@ -83,6 +83,17 @@ def test_the_exit_code_is_the_signal_s_wherever_it_came(tmp_path: Path) -> None:
     assert done.returncode == 143
 
 
+def test_when_the_program_ends_a_second_one_changes_nothing(tmp_path: Path) -> None:
+    code = (
+        "import atexit, os, signal\natexit.register(os.kill, os.getpid(), signal.SIGTERM)\n"
+        "from ggwarp.interruption import end_program_after\nend_program_after()\n" + _IN_EXEC
+    )
+    (tmp_path / "asked.py").write_text(code)
+    environment = {**os.environ, "PYTHONPATH": str(Path(ggwarp.__file__).parents[1])}
+    done = subprocess.run([sys.executable, "-m", "asked"], cwd=tmp_path, env=environment)
+    assert done.returncode == 143
+
+
 @pytest.mark.parametrize("number", SIGNALS, ids=lambda n: n.name)
 def test_while_it_is_imported(tmp_path: Path, number: signal.Signals) -> None:
     """A library that takes long to import stands in for a slow disk."""
