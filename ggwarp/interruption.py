@@ -88,8 +88,9 @@ class Interruption:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         for number, previous in self._previous.items():
-            over = self.requested and _program_ends
-            signal.signal(number, signal.SIG_IGN if over else previous or signal.SIG_DFL)
+            if _program_ends:  # and says no more, not even where it was interrupted
+                previous = signal.SIG_IGN if self.requested else signal.SIG_DFL
+            signal.signal(number, previous or signal.SIG_DFL)
         self._previous.clear()
 
     def _request(self, number: int, frame: FrameType | None) -> None:

@@ -55,8 +55,8 @@ def test_a_run_is_whole_whenever_it_is_stopped(campaign: bool, start, contents, 
         assert ALWAYS <= set(now) and now["map.ply"] != b"", where
         saved, metrics = load_run(tmp_path / "o"), json.loads(now["metrics.json"])
         assert len(saved.poses) == metrics["frames"] > 0 and metrics["failures"] == [], where
-        # Ctrl-C in the refinement ends that alone; a signal after the last look comes too late to matter.
-        stopped = run.returncode == 128 + number or run.returncode == 128 + signal.SIGTERM
-        assert stopped or run.returncode == 0, where
+        # Ctrl-C in the refinement ends that alone; a signal may come when all is done.
+        stopped = run.returncode in (128 + number, 128 + signal.SIGTERM)
+        assert stopped or run.returncode in (0, -number, -signal.SIGTERM), where
         ends["stopped" if stopped else "done"] += 1
     print(f"{ends}, the longest took {longest:.1f} s to end")
