@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +19,7 @@ from ggwarp.datasets.rig import Lens, Rig
 from ggwarp.datasets.text import numbers_of
 from ggwarp.geometry.camera import Camera
 from ggwarp.io.camera import camera_fault, finite_number, size_fault
-from ggwarp.io.printable import shown
+from ggwarp.io.printable import printable, shown
 from ggwarp.types import Float64
 
 CAMERA_FILES = (
@@ -39,6 +40,7 @@ _LEAST_SCALE, _LARGEST_SCALE = 1.0, 1e6
 _LARGEST_COEFFICIENT = 1e4
 """Of a lens's distortion; rational models come with coefficients of a few hundred."""
 
+_LIKE_A_CAMERA = re.compile(r"(?i)cam|calib|intrin|param|^k\.")
 _SHORTEST_FOCAL = 4.0
 """Pixels; intrinsics in shares of the image are below it."""
 
@@ -138,7 +140,10 @@ def find_camera_file(folders: Iterable[Path], names: Iterable[str] = CAMERA_FILE
             if (folder / name).is_file():
                 return folder / name
     searched = " or ".join(str(folder) for folder in folders)
-    raise DatasetError(f"{names[0]}: no camera file in {searched}; write one, such as {JSON_EXAMPLE}")
+    like = (p.name for folder in folders if folder.is_dir() for p in sorted(folder.iterdir()) if p.is_file())
+    others = [printable(name) for name in like if _LIKE_A_CAMERA.search(name)][:4]
+    found = f" ({', '.join(others)}: such names are not read)" if others else ""
+    raise DatasetError(f"{names[0]}: no camera file in {searched}{found}; write one, such as {JSON_EXAMPLE}")
 
 
 def read_calibration(

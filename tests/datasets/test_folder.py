@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from ggwarp.datasets import DatasetError, FrameError, open_dataset
+from ggwarp.datasets.calibration import read_calibration
 from ggwarp.datasets.folder import open_sequence, recognises
 from ggwarp.geometry.camera import Camera
 
@@ -130,6 +131,45 @@ def test_a_depth_scale_beside_the_camera_counts(make_folder: Maker) -> None:
     assert (
         dataset.depth_scale == 5000.0 and dataset.source.depth_unit == "5000 units a metre, from camera.json"
     )
+
+
+CENTRE = {"cx": 11.5, "cy": 7.5}
+ROWS = [[20, 0, 11.5], [0, 21, 7.5], [0, 0, 1]]
+
+
+@pytest.mark.parametrize(
+    ("values", "scale", "distortion"),
+    [
+        ({"fl_x": 20, "fl_y": 21, "png_depth_scale": 500, "k1": 0.1, "p2": 0.2}, 500.0, (0.1, 0, 0, 0.2)),
+        ({"K": ROWS, "DepthMapFactor": 500, "k3": 0.1}, 500.0, (0, 0, 0, 0, 0.1)),
+        ({"camera_matrix": sum(ROWS, []), "dist_coeffs": [0.1, 0, 0, 0]}, 1000.0, (0.1, 0, 0, 0)),  # noqa: RUF017
+        ({"fx": 20, "fy": 21, "k1": 0, "k2": 0}, 1000.0, ()),
+    ],
+)  # fmt: skip
+def test_spellings_of_other_programs(
+    make_folder: Maker, values: dict, scale: float, distortion: tuple[float, ...]
+) -> None:
+    folder = make_folder(1)
+    path = folder / "camera.json"
+    path.write_text(json.dumps(CENTRE | values))
+    found = read_calibration(path, depth_scale=1000.0, size=(24, 16))
+    assert found.camera == CAMERA and found.depth_scale == scale and found.distortion == distortion
+
+
+def test_keys_that_mean_something_and_are_not_read_are_named(make_folder: Maker) -> None:
+    folder = make_folder(1)
+    (folder / "camera.json").write_text(
+        json.dumps({"fx": 20, "fy": 21, **CENTRE, "depth_units": 0.001, "crop": 8, "serial": "x"})
+    )
+    (note,) = open_sequence(folder).source.notes
+    assert note == "camera.json: depth_units, crop: such keys are not read"
+
+
+def test_camera_files_of_other_names_are_pointed_at(make_folder: Maker) -> None:
+    folder = make_folder(1, camera=False)
+    (folder / "calib.yaml").touch()
+    with pytest.raises(DatasetError, match=r"no camera file .* \(calib\.yaml: such names are not read\)"):
+        open_sequence(folder)
 
 
 def test_intrinsics_leave_the_files_depth_scale_and_distortion(make_folder: Maker) -> None:

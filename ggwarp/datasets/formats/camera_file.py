@@ -3,16 +3,36 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
 from ggwarp.datasets.base import DatasetError
 from ggwarp.datasets.text import read_numbers
 from ggwarp.io import guarded
-from ggwarp.io.printable import shown
+from ggwarp.io.printable import printable, shown
 
 JSON_EXAMPLE = '{"w": 640, "h": 480, "fx": 525, "fy": 525, "cx": 319.5, "cy": 239.5, "scale": 1000}'
 
+_SPELLINGS = {
+    "w": "width",
+    "h": "height",
+    "scale": "depth_scale",
+    "png_depth_scale": "depth_scale",
+    "depth_factor": "depth_scale",
+    "depth_map_factor": "depth_scale",
+    "DepthMapFactor": "depth_scale",
+    "dist_coeffs": "distortion",
+    "distortion_coefficients": "distortion",
+    "D": "distortion",
+    "fl_x": "fx",
+    "fl_y": "fy",
+}
+"""Spellings of other programs -> the full name."""
+_MATRICES = ("intrinsic_matrix", "K", "camera_matrix", "intrinsics")
+_COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+_MEANT = re.compile(r"(?i)dist|^[kp]\d$|scale|unit|factor|crop|offset|shift|skew")
+_READ = {*_SPELLINGS, *_SPELLINGS.values(), *_COEFFICIENTS, "depth_distorted", "distortion_model"}
 _MODEL_KEYS = ("camera_model", "distortion_model", "lens_model")
 _PINHOLES = frozenset(
     {
@@ -54,15 +74,24 @@ def _read_json(path: Path) -> dict[str, Any]:
 
 def in_full(values: dict[str, Any], path: Path) -> dict[str, Any]:
     """Return a camera file's values with every key by its full name."""
-    for short, full in (("w", "width"), ("h", "height"), ("scale", "depth_scale")):
+    values.pop("notes", None)
+    for short, full in _SPELLINGS.items():
         if short in values:
             values[full] = values[short]
-    values.pop("notes", None)
-    matrix = values.get("intrinsic_matrix")
+    if "distortion" not in values and any(values.get(key) for key in _COEFFICIENTS):
+        last = max(i for i, key in enumerate(_COEFFICIENTS) if values.get(key))
+        count = next(n for n in (4, 5, 8) if n > last)
+        values["distortion"] = [values.get(key) or 0.0 for key in _COEFFICIENTS[:count]]
+    matrix = next((values[key] for key in _MATRICES if key in values), None)
+    flat = not (isinstance(matrix, list) and len(matrix) == 3)
     if isinstance(matrix, list) and len(matrix) == 3 and all(isinstance(row, list) for row in matrix):
         matrix = [value for row in matrix for value in row]
     if isinstance(matrix, list) and len(matrix) == 9:
-        values.update(_from_matrix(matrix, path, columns=True))
+        values.update(_from_matrix(matrix, path, columns=flat))
+    unread = [key for key in values if _MEANT.search(key) and key not in _READ]
+    if unread:
+        note = f"{path.name}: {', '.join(map(printable, unread[:4]))}: such keys are not read"
+        values["notes"] = [*values.get("notes", ()), note]
     return values
 
 

@@ -177,7 +177,7 @@ def _read_list(path: Path) -> _Listed:
         if len(words) != 2:
             raise DatasetError(f"{path}:{line}: {shown(' '.join(words))}; expected a time and a file name")
         times.append(parse_float(words[0], path, line))
-        files.append(path.parent / words[1])
+        files.append(path.parent / words[1].replace("\\", "/"))  # a list written on Windows
         lines.append(line)
     stamps, unit = in_seconds(times, path, lines)
     notes = [] if unit == "s" else [f"{path.name}: its times are taken for {unit}, by their size"]
