@@ -146,7 +146,7 @@ def go_on(
         display.warn(f"{fault}; the checkpoint before it is taken")
     _restore(resumed, slam, record, reader)
     done = sorted([*(r.index for r in record.reports), *record.skipped])
-    if reader.indices[: len(done)] != done:
+    if list(reader.indices[: len(done)]) != done:
         raise ConfigError(
             f"--frames {config.frames}: the run has {len(done)} frames behind it, {done[0]} to {done[-1]}; "
             "give the frames that it began with, or more"

@@ -14,6 +14,7 @@ from typing import Any
 
 from ggwarp.config import RunConfig
 from ggwarp.datasets import BUILT_IN, Dataset, DatasetError
+from ggwarp.datasets.base import is_live
 from ggwarp.io.printable import printable
 from ggwarp.types import StepReport, Verdict
 
@@ -33,7 +34,7 @@ def introduction(asked: RunConfig, config: RunConfig, dataset: Dataset, frames: 
         )
     size, native = dataset.camera.scaled(config.scale or 1.0), dataset.camera
     yield (
-        f"{frames} frames on {config.device} at {size.width}x{size.height} "
+        f"{'live' if is_live(dataset) else frames} frames on {config.device} at {size.width}x{size.height} "
         f"(--scale {config.scale:g} of {native.width}x{native.height})"
     )
     if config.slam.mono:

@@ -16,6 +16,7 @@ from ggwarp.checkpointing import Checkpoints, go_on, staged_folder
 from ggwarp.config import CheckpointInterval, ResumedRun, RunConfig, frame_indices, resolve_config
 from ggwarp.console import Display
 from ggwarp.datasets import BadFrame, DatasetError, FrameReader, WithoutDepth, open_dataset
+from ggwarp.datasets.base import dropped_frames, is_live
 from ggwarp.datasets.kept_frames import KeptFrames
 from ggwarp.datasets.plan.sequence_plan import plan_sequence
 from ggwarp.evaluation.evaluate import FrameScore
@@ -165,7 +166,7 @@ class Session:
         """
         reader, record = self._frames, self.record
         self._interruption.at_once = False
-        self._display.stage("frames", len(reader))
+        self._display.stage("frames", None if is_live(self._dataset) else len(reader))
         self._loop_started = time.perf_counter() - record.loop_s
         try:
             with self._interruption.breakable(), reader:
@@ -192,6 +193,9 @@ class Session:
                 raise
         record.loop_s = time.perf_counter() - self._loop_started
         record.counts = dict(self._slam.counts)
+        if lost := dropped_frames(self._dataset):
+            self._display.warn(f"{lost} pictures of the camera came too fast and were dropped")
+            record.plan["dropped"] = lost
         if late := messages.lateness(record.reports):
             self._display.warn(late)
         if not record.reports and record.failure is None:
@@ -256,8 +260,9 @@ class Session:
     def show(self) -> int:
         """Say how the run ended, with its figures where it is complete; return the exit code."""
         display, record, where = self._display, self.record, self._saver.where
+        live = is_live(self._dataset)
         display.close()
-        share = f"{len(record.reports)} of {len(self._indices)} frames"
+        share = f"{len(record.reports)}" + ("" if live else f" of {len(self._indices)}") + " frames"
         if record.failure is not None:
             display.conclude(f"failed after {share}; saved in {where}")
             return FAILED

@@ -2,12 +2,14 @@
 """Each of examples/ runs, with small settings, and reads as a tutorial."""
 
 import importlib.util
+import io
 from pathlib import Path
 
 import pytest
 
 from ggwarp import load_run
 from ggwarp.datasets import KINDS
+from ggwarp.datasets.live.stream import open_stream
 from ggwarp.pipeline.tracking.tracker import TRACKERS
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -63,3 +65,13 @@ def test_edit_objects(tmp_path, capsys):
     before, after = load_run(tmp_path / "before"), load_run(tmp_path / "after")
     assert len(after.edits) == 3 and before.find("poster").count > 0
     assert "poster" not in [record.name for record in after.objects]
+
+
+def test_send_frames():
+    pipe = io.BytesIO()
+    example("send_frames").main(pipe, "office", frames=2, scale=0.1)
+    pipe.seek(0)
+    dataset = open_stream(pipe)
+    assert dataset.camera.width == 120
+    for i in range(2):
+        assert (dataset[i].depth > 0).all()

@@ -64,6 +64,8 @@ OWN_KINDS = (
     "folder",
 )
 """The modules of the layouts that are read, in the order they are tried."""
+LIVE = ("webcam:", "realsense:")
+"""What begins so is a camera that is plugged in; ``-`` is frames on standard input."""
 FALLBACK = "office0"
 """The one sequence that the built-in office stands in for where Replica is absent."""
 
@@ -95,9 +97,10 @@ def open_dataset(
     """Open a sequence by name or path.
 
     Args:
-        seq: a name, looked up under ``data_root`` (also in its folders: Replica, TUM, ...), or a
-            path. ``office`` is the built-in synthetic office, and so is ``office0`` where there
-            is no Replica; ``wall`` is the built-in wall, and :data:`APARTMENTS` the built-in apartment.
+        seq: a name, looked up under ``data_root`` (also in its folders: Replica, TUM, ...), or a path; ``-``,
+            ``webcam:0`` or ``realsense:``, whose frames come once. ``office`` is the built-in synthetic
+            office, and so is ``office0`` where there is no Replica; ``wall`` is the built-in wall, and
+            :data:`APARTMENTS` the built-in apartment.
         data_root: folder of the data sets; need not exist.
         masks: folder of the object masks; None: beside the images, if there; "none": not used.
         faults: of the camera of a built-in scene; None: it has none.
@@ -109,6 +112,8 @@ def open_dataset(
     if seq in BUILT_IN:
         _no_intrinsics(seq, intrinsics)
         return _built_in(seq, masks, faults)
+    if seq == "-" or seq.startswith(LIVE):
+        return _live(seq, masks, intrinsics)
     kinds = _kinds()
     candidates = _candidates(seq, Path(data_root))
     folders = [path for path in candidates if path.is_dir()]
@@ -136,6 +141,25 @@ def open_dataset(
         f"{seq}: no such sequence{_suggestion(seq, candidates)}; looked for {_places(candidates)} "
         f"(--data names another data root, ggwarp download fetches one, --seq office is built in)"
     )
+
+
+def _live(seq: str, masks: Masks, intrinsics: Intrinsics | None) -> Dataset:
+    from ggwarp.datasets.live.sequence import no_masks
+
+    no_masks(masks, f"--seq {seq}")
+    which = seq.partition(":")[2]
+    if seq.startswith("webcam:"):
+        from ggwarp.datasets.live.cameras import open_webcam
+
+        return open_webcam(which, intrinsics)
+    _no_intrinsics(f"--seq {seq}", intrinsics)
+    if seq == "-":
+        from ggwarp.datasets.live.stream import open_stream
+
+        return open_stream()
+    from ggwarp.datasets.live.cameras import open_realsense
+
+    return open_realsense(which)
 
 
 def _kinds() -> list[Kind]:

@@ -20,6 +20,14 @@ class FrameError(DatasetError):
     """One frame of a sequence cannot be used; the others can."""
 
 
+class SequenceEnd(Exception):
+    """A live sequence has no more frames."""
+
+
+MOST_LIVE_FRAMES = 1 << 20
+"""What a live sequence claims to have: nine hours at 30 a second."""
+
+
 @runtime_checkable
 class Dataset(Protocol):
     """A sequence of frames at their native size.
@@ -52,6 +60,20 @@ class Dataset(Protocol):
             IndexError: ``index`` is outside 0..len-1.
         """
         ...
+
+
+def is_live(dataset: object) -> bool:
+    """Return whether the frames of ``dataset``, or of the one that it wraps, come once and end some time."""
+    while dataset is not None and not hasattr(dataset, "live"):
+        dataset = getattr(dataset, "inner", None)
+    return bool(getattr(dataset, "live", False))
+
+
+def dropped_frames(dataset: object) -> int:
+    """Return how many pictures of a live ``dataset``, or of the one that it wraps, were not waited for."""
+    while dataset is not None and not hasattr(dataset, "dropped"):
+        dataset = getattr(dataset, "inner", None)
+    return int(getattr(dataset, "dropped", 0))
 
 
 class WithoutMasks:

@@ -166,7 +166,20 @@ def read_calibration(
     Raises:
         DatasetError: the file is malformed or a value is out of range.
     """
-    values = camera_values(path)
+    return calibration_of(
+        camera_values(path), path, depth_scale=depth_scale, size=size, intrinsics=intrinsics
+    )
+
+
+def calibration_of(
+    values: dict[str, Any],
+    path: Path,
+    *,
+    depth_scale: float,
+    size: tuple[int, int],
+    intrinsics: Intrinsics | None = None,
+) -> Calibration:
+    """Do what :func:`read_calibration` does, of a file's values by their full names."""
     told, notes = "depth_scale" in values, (*values.pop("notes", ()), *lens_notes(values, path))
     origin = path.name
     if intrinsics is not None:

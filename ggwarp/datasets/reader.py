@@ -14,7 +14,7 @@ from typing import TypeVar
 import cv2
 import numpy as np
 
-from ggwarp.datasets.base import Dataset, DatasetError, FrameError, at_scale
+from ggwarp.datasets.base import Dataset, DatasetError, FrameError, SequenceEnd, at_scale
 from ggwarp.datasets.resize import reduce_depth, resize_labels
 from ggwarp.geometry.camera import Camera
 from ggwarp.types import Frame
@@ -39,6 +39,10 @@ class BadFrame:
 
     index: int
     reason: str
+
+
+_Item = Frame | BadFrame | BaseException | None
+"""What the thread hands over; None: there are no more frames."""
 
 
 class FrameReader:
@@ -80,7 +84,7 @@ class FrameReader:
         self._dataset = at_scale(dataset, min(1.0, 2.0 * scale))
         self.sensor_camera = self._dataset.camera
         """The camera of ``sensor_depth``: native size, or twice the frames' where they are rendered."""
-        self.indices = list(indices)
+        self.indices = indices if isinstance(indices, range) else list(indices)
         """The frames to read, in this order."""
         self._ahead = ahead
         self._stopped = stopped
@@ -127,20 +131,23 @@ class FrameReader:
     def __iter__(self) -> Iterator[Frame | BadFrame]:
         self.close()
         self._stop = threading.Event()
-        ready: queue.Queue[Frame | BadFrame | BaseException] = queue.Queue(self._ahead)
+        ready: queue.Queue[_Item] = queue.Queue(self._ahead)
         self._thread = threading.Thread(
             target=self._read, args=(ready, self._stop), name="frame-reader", daemon=True
         )
         self._thread.start()
         for _ in self.indices:
-            while (item := _within(ready, _INTERVAL)) is None:
+            while not (items := _within(ready, _INTERVAL)):
                 if self._stopped():
                     return
+            item = items[0]
+            if item is None:
+                return
             if isinstance(item, BaseException):
                 raise item
             yield item
 
-    def _read(self, ready: queue.Queue[Frame | BadFrame | BaseException], stop: threading.Event) -> None:
+    def _read(self, ready: queue.Queue[_Item], stop: threading.Event) -> None:
         for index in self.indices:
             if stop.is_set():
                 return
@@ -148,6 +155,8 @@ class FrameReader:
                 item = resized(self._dataset[index], self.camera)
             except FrameError as error:
                 item = BadFrame(index, str(error))
+            except SequenceEnd:
+                item = None
             except BaseException as error:  # handed to the reader's user, who would else wait for ever
                 item = error
             while not stop.is_set():
@@ -156,16 +165,16 @@ class FrameReader:
                     break
                 except queue.Full:
                     continue
-            if isinstance(item, BaseException):
+            if item is None or isinstance(item, BaseException):
                 return
 
 
-def _within(ready: queue.Queue[T], seconds: float) -> T | None:
-    """Return the next item; None where none comes in time."""
+def _within(ready: queue.Queue[T], seconds: float) -> list[T]:
+    """Return the next item; nothing where none comes in time."""
     try:
-        return ready.get(timeout=seconds)
+        return [ready.get(timeout=seconds)]
     except queue.Empty:
-        return None
+        return []
 
 
 def resized(frame: Frame, camera: Camera) -> Frame:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ggwarp.datasets.base import Dataset, DatasetError, FrameError
+from ggwarp.datasets.base import Dataset, DatasetError, FrameError, is_live
 from ggwarp.datasets.plan.camera_checks import camera_doubts, field_of_view
 from ggwarp.datasets.plan.correspondence import judge
 from ggwarp.datasets.plan.depth_checks import depth_faults, depth_statistics
@@ -85,7 +85,7 @@ def plan_sequence(dataset: Dataset, indices: Sequence[int] | None = None) -> Seq
     used = list(range(len(dataset)) if indices is None else indices)
     if with_depth := set(_attribute(dataset, "frames_with_depth") or ()):
         used = [i for i in used if i in with_depth] or used
-    known = dataset.kind == "synthetic" or bool(_attribute(dataset, "live"))
+    known = dataset.kind == "synthetic" or is_live(dataset)
     places = np.linspace(0, len(used) - 1, SAMPLES)
     chosen = [] if known else sorted({used[int(place)] for place in places})
     frames, bad = _looked_at(dataset, chosen)
@@ -103,13 +103,14 @@ def plan_sequence(dataset: Dataset, indices: Sequence[int] | None = None) -> Seq
         if doubt := _judged(dataset, frames):
             warnings.append(doubt)
     wide, high = field_of_view(camera)
+    count = "as they come" if is_live(dataset) else f"{len(dataset)} frames"
     camera_text = (
         f"fx {camera.fx:g} fy {camera.fy:g} cx {camera.cx:g} cy {camera.cy:g} of "
         f"{camera.width}x{camera.height} ({wide:.0f} x {high:.0f} degrees)"
         + (f", from {source.camera}" if source.camera else "")
     )
     return SequencePlan(
-        layout=f"{source.layout or dataset.kind}, {len(dataset)} frames" + _bad_share(bad, len(chosen)),
+        layout=f"{source.layout or dataset.kind}, {count}" + _bad_share(bad, len(chosen)),
         frames=len(dataset),
         pairing=source.pairing,
         camera=camera_text,
