@@ -97,6 +97,14 @@ def closed_loop(step: StepReport) -> str:
     )
 
 
+def of_speed(dropped: int, reports: Sequence[StepReport]) -> Iterator[str]:
+    """Yield what came faster than it was processed."""
+    if dropped:
+        yield f"{dropped} pictures of the camera came too fast and were dropped"
+    if late := lateness(reports):
+        yield late
+
+
 def lateness(reports: Sequence[StepReport]) -> str:
     """Return how late frames were taken up; empty where none was."""
     late = [r for r in reports if r.late_ms > 0.0]

@@ -194,14 +194,13 @@ class Session:
         record.loop_s = time.perf_counter() - self._loop_started
         record.counts = dict(self._slam.counts)
         if lost := dropped_frames(self._dataset):
-            self._display.warn(f"{lost} pictures of the camera came too fast and were dropped")
             record.plan["dropped"] = lost
-        if late := messages.lateness(record.reports):
-            self._display.warn(late)
+        for line in messages.of_speed(lost, record.reports):
+            self._display.warn(line)
         if not record.reports and record.failure is None:
             if self._stopped:
                 raise KeyboardInterrupt
-            first = next(iter(record.skipped.values()))
+            first = next(iter(record.skipped.values()), "none came")
             raise DatasetError(f"{self._dataset.name}: no frame could be used; the first: {first}")
 
     def refine(self) -> None:
@@ -260,9 +259,9 @@ class Session:
     def show(self) -> int:
         """Say how the run ended, with its figures where it is complete; return the exit code."""
         display, record, where = self._display, self.record, self._saver.where
-        live = is_live(self._dataset)
         display.close()
-        share = f"{len(record.reports)}" + ("" if live else f" of {len(self._indices)}") + " frames"
+        count = "" if is_live(self._dataset) else f" of {len(self._indices)}"
+        share = f"{len(record.reports)}{count} frames"
         if record.failure is not None:
             display.conclude(f"failed after {share}; saved in {where}")
             return FAILED

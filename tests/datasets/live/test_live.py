@@ -17,24 +17,8 @@ from ggwarp.datasets.live.cameras import open_webcam
 from ggwarp.datasets.live.sequence import Newest
 from ggwarp.datasets.live.stream import open_stream
 from ggwarp.types import Frame
-from recorded_scene import COLOUR, check_truth, jpeg, look, millimetres, png, pose
-
-HEAD = {"w": 80, "h": 60, "fx": COLOUR.fx, "fy": COLOUR.fy, "cx": COLOUR.cx, "cy": COLOUR.cy, "scale": 1000}
-
-
-def sent(count: int = 3, **head: object) -> bytes:
-    data = json.dumps(HEAD | head).encode() + b"\n"
-    for i in range(count):
-        rgb, depth = look(COLOUR, pose(i))
-        parts = jpeg(rgb), png(millimetres(depth))
-        line = {
-            "timestamp": 5.0 + i,
-            "color": len(parts[0]),
-            "depth": len(parts[1]),
-            "T_wc": pose(i).tolist(),
-        }
-        data += json.dumps(line).encode() + b"\n" + b"".join(parts)
-    return data
+from live_frames import HEAD, sent
+from recorded_scene import check_truth
 
 
 class Again:
