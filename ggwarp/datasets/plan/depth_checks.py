@@ -20,10 +20,13 @@ _FEW_VALUES = 24
 _FLAT = 0.003
 """Relative bend of inverse depth over a tenth of the width: a plane's is 0; along rays it is 0.01 to 0.05."""
 _FEWEST_FLAT, _RATIO = 0.04, 1.3
-"""Share of flat places, and how many times more of them there must be when readings are taken along rays.
+"""Share of flat places, and how many times more of them there must be when depth is taken for something else.
 
-In nine sequences (two Kinects, a RealSense, three renderers) there are at most 0.77 times as many; where
-their depth is turned into distances along the rays, at least 1.4 times as many."""
+In eleven sequences (two Kinects, a RealSense, three renderers) there are at most 0.77 times as many along
+rays, and at most as many for disparity; where their depth is turned into distances along the rays, at least
+1.4 times as many."""
+_HIGH = 0.1
+"""Share of a type's range below which the median lies where single readings alone are far."""
 _MOST_FLAT_SAMPLES = 20_000
 
 
@@ -86,39 +89,51 @@ def depth_faults(images: Sequence[Float32], camera: Camera, scale: float | None)
             "its own range? Export the depth itself",
             True,
         )
-    if reason := _along_rays(images, camera):
+    if reason := _not_along_the_axis(images, camera):
         yield Fault(reason, False)
 
 
 def _normalised(images: Sequence[Float32], scale: float) -> bool:
-    """Return whether each image ends at what 8 or 16 bits hold, the values up to there being used."""
-    ends = {round(float(image.max()) * scale) for image in images}
-    if len(images) < 3 or len(ends) != 1 or ends.isdisjoint({255, 65534, 65535}):
+    """Return whether each image ends at what 8 or 16 bits hold, as its scene would not by itself.
+
+    Stereo cameras have single readings up there, too: where the range is stretched, the median lies high, too.
+    """
+    if len(images) < 3 or not all(image.any() for image in images):
         return False
-    end = ends.pop()
-    near = [np.unique(np.rint(image[image * scale > 0.95 * end] * scale)) for image in images]
-    return all(len(values) >= 3 for values in near)
+    ends = [float(image.max()) * scale for image in images]
+    medians = [float(np.median(image[image > 0.0])) * scale for image in images]
+    for full in (255.0, 65535.0):
+        if all(0.98 * full <= end < full + 0.5 for end in ends) and min(medians) > _HIGH * full:
+            return True
+    return False
 
 
-def _along_rays(images: Sequence[Float32], camera: Camera) -> str:
-    """Say so where surfaces are flat only if depth is measured along the rays, not along the axis.
+def _not_along_the_axis(images: Sequence[Float32], camera: Camera) -> str:
+    """Say so where surfaces are flat only if depth is something else than the distance along the axis.
 
     On a plane, the inverse of z is linear in the pixel.
     """
     height, width = images[0].shape
     v, u = np.mgrid[:height, :width]
     rays = np.sqrt(1.0 + ((u - camera.cx) / camera.fx) ** 2 + ((v - camera.cy) / camera.fy) ** 2)
-    as_z, as_rays, count = 0, 0, 0
+    flat, count = np.zeros(3), 0
     for image in images:
         if image.shape != (height, width):
             continue
-        bends = _bends(image, width // 10), _bends((image / rays).astype(np.float32), width // 10)
+        inverse = np.divide(1.0, image, out=np.zeros_like(image), where=image > 0.0)
+        bends = [_bends(depth, width // 10) for depth in (image, (image / rays).astype(np.float32), inverse)]
         known = np.isfinite(bends[0])
         count += np.count_nonzero(known)
-        as_z += np.count_nonzero(np.abs(bends[0][known]) < _FLAT)
-        as_rays += np.count_nonzero(np.abs(bends[1][known]) < _FLAT)
-    if count < _MOST_FLAT_SAMPLES or as_rays < _FEWEST_FLAT * count or as_rays < _RATIO * as_z:
+        flat += [np.count_nonzero(np.abs(bend[known]) < _FLAT) for bend in bends]
+    as_z, as_rays, as_disparity = flat
+    best = max(as_rays, as_disparity)
+    if count < _MOST_FLAT_SAMPLES or best < _FEWEST_FLAT * count or best < _RATIO * as_z:
         return ""
+    if as_disparity > as_rays:
+        return (
+            "walls and floors are flat only if the depth images hold disparity, or inverse depth; they are read "
+            "as distance: export depth"
+        )
     return (
         "walls and floors are flat only if depth is the distance along each pixel's ray; it is read as the "
         "distance along the camera's axis: divide it by sqrt(1 + ((u - cx) / fx)^2 + ((v - cy) / fy)^2)"

@@ -84,6 +84,11 @@ def test_distances_along_the_rays_are_told() -> None:
     assert not certain and "flat only if depth is the distance along each pixel's ray" in reason
 
 
+def test_disparity_is_told() -> None:
+    ((reason, certain),) = reasons([(4.0 / image).astype(np.float32) for image in room()])
+    assert not certain and "flat only if the depth images hold disparity" in reason
+
+
 def test_no_reading_at_all() -> None:
     assert depth_statistics([]) == (None, None)
     empty = [np.zeros((120, 160), np.float32)] * 3
