@@ -96,7 +96,7 @@ def depth_faults(images: Sequence[Float32], camera: Camera, scale: float | None)
 def _normalised(images: Sequence[Float32], scale: float) -> bool:
     """Return whether each image ends at what 8 or 16 bits hold, as its scene would not by itself.
 
-    Stereo cameras have single readings up there, too: where the range is stretched, the median lies high, too.
+    Stereo cameras have single readings up there, too; but where the range is stretched, the median is high.
     """
     if len(images) < 3 or not all(image.any() for image in images):
         return False
@@ -131,8 +131,8 @@ def _not_along_the_axis(images: Sequence[Float32], camera: Camera) -> str:
         return ""
     if as_disparity > as_rays:
         return (
-            "walls and floors are flat only if the depth images hold disparity, or inverse depth; they are read "
-            "as distance: export depth"
+            "walls and floors are flat only if the depth images hold disparity, or inverse depth; they are "
+            "read as distance: export depth"
         )
     return (
         "walls and floors are flat only if depth is the distance along each pixel's ray; it is read as the "
