@@ -10,13 +10,13 @@ from ggwarp.geometry.camera import Camera
 CAMERA = Camera(160, 120, 100.0, 100.0, 79.5, 59.5)
 
 
-def room(distance: float = 2.5, frames: int = 4) -> list[np.ndarray]:
+def room(distance: float = 2.5, frames: int = 4, slant: float = 0.3) -> list[np.ndarray]:
     """A slanted wall and a floor, metres, seen from ever nearer; 16-bit millimetres."""
     v, u = np.mgrid[:120, :160]
     x, y = (u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy
     images = []
     for i in range(frames):
-        wall = distance * (1.0 - 0.02 * i) / (1.0 + 0.3 * x)
+        wall = distance * (1.0 - 0.02 * i) / (1.0 + slant * x)
         with np.errstate(divide="ignore"):
             floor = np.where(y > 0.0, 0.4 * distance / y, np.inf)
         images.append((np.rint(1000.0 * np.minimum(wall, floor)) / 1000.0).astype(np.float32))
@@ -85,8 +85,12 @@ def test_distances_along_the_rays_are_told() -> None:
 
 
 def test_disparity_is_told() -> None:
-    ((reason, certain),) = reasons([(4.0 / image).astype(np.float32) for image in room()])
-    assert not certain and "flat only if the depth images hold disparity" in reason
+    ((reason, certain),) = reasons([(4.0 / image).astype(np.float32) for image in room(slant=0.9)])
+    assert (
+        not certain
+        and not reasons(room(slant=0.9))
+        and "flat only if the depth images hold disparity" in reason
+    )
 
 
 def test_no_reading_at_all() -> None:
