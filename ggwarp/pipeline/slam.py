@@ -56,7 +56,7 @@ class Slam:
         map: the Gaussians.
         reports: one row a frame.
         keyframe_indices: frames that were ever used for mapping.
-        counts: tracking_keyframes, mapping_keyframes, frames_lost, loops_closed.
+        counts: tracking_keyframes, mapping_keyframes, frames_lost, loops_closed; the mapper's ``left_out``.
         loops: closes them; says why they stay open.
     """
 
@@ -146,7 +146,7 @@ class Slam:
         """
         started = time.perf_counter()
         self._move(tracked)
-        self._insert(tracked)
+        tracked = self._insert(tracked)
         iterations = self._bootstrap(tracked) + self._fit(waiting)
         loss = self._synchronise(tracked)
         seconds = time.perf_counter() - started
@@ -276,16 +276,17 @@ class Slam:
         self._poses.move(correction)
         self.counts["loops_closed"] += 1
 
-    def _insert(self, tracked: TrackedFrame) -> None:
-        """Give the mapper a keyframe, and any frame that is not lost for what it keeps of all."""
+    def _insert(self, tracked: TrackedFrame) -> TrackedFrame:
+        """Give the mapper a keyframe, and what it keeps of any frame; return ``tracked`` as it was mapped."""
         frame, result = tracked.frame, tracked.result
-        if tracked.is_keyframe:
-            keyframe = frame if result.depth is None else dataclasses.replace(frame, depth=result.depth)
-            with self._mapping_scope:
-                self._mapper.insert(keyframe, result.T_wc, result.exposure)
-        if not tracked.is_lost:
-            with self._mapping_scope:
+        with self._mapping_scope:
+            if tracked.is_keyframe or (self._mapper.refused and not tracked.is_lost):
+                keyframe = frame if result.depth is None else dataclasses.replace(frame, depth=result.depth)
+                tracked = tracked.mapped(self._mapper.insert(keyframe, result.T_wc, result.exposure))
+                self.counts |= self._mapper.left_out
+            if not tracked.is_lost:
                 self._mapper.observe_frame(frame, result.T_wc, skip_objects=tracked.arrival.late)
+        return tracked
 
     def _bootstrap(self, tracked: TrackedFrame) -> int:
         """Fit the map to its first keyframe; return the iterations."""

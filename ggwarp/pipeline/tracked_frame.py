@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ggwarp.pipeline.loops.loop_closer import Closure
 from ggwarp.pipeline.scheduler import Arrival
@@ -38,6 +38,12 @@ class TrackedFrame:
     @property
     def is_lost(self) -> bool:
         return self.result.verdict is Verdict.LOST
+
+    def mapped(self, added: bool) -> TrackedFrame:
+        """Return the frame as the mapper took it: a keyframe if it was ``added``, else none."""
+        if not added:
+            return replace(self, kind=KeyframeKind.NONE)
+        return self if self.is_keyframe else replace(self, kind=KeyframeKind.MAPPING)
 
     def report(self, *, seconds: float, iterations: int, gaussians: int, loss: float) -> StepReport:
         """Return the frame's report.

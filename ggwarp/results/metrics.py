@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -48,6 +48,8 @@ RESULTS = {
         "gaussians",
         "tracking_keyframes",
         "mapping_keyframes",
+        "pictures_left_out",
+        "pixels_left_out",
         "mapping_iterations",
         "refine_iterations",
     ],
@@ -117,6 +119,8 @@ def metrics_of(record: RunRecord, *, wall_s: float, gaussians: int | None) -> di
         "gaussians": gaussians,
         "tracking_keyframes": record.counts.get("tracking_keyframes", 0),
         "mapping_keyframes": record.counts.get("mapping_keyframes", 0),
+        "pictures_left_out": record.counts.get("pictures_left_out", 0),
+        "pixels_left_out": _share(record.counts, "pixels_left_out", "keyframe_pixels"),
         "frames_lost": record.counts.get("frames_lost", 0),
         "loops_closed": record.counts.get("loops_closed", 0),
         "frames_skipped": len(record.skipped),
@@ -181,6 +185,10 @@ def ate_per_frame(record: RunRecord) -> dict[int, float]:
     ate, _, _ = _trajectory_errors(record)
     known = [r.index for r in record.reports if r.index in record.truth]
     return {} if ate is None else dict(zip(known, (100.0 * ate.per_frame).tolist(), strict=True))
+
+
+def _share(counts: Mapping[str, int], part: str, whole: str) -> float | None:
+    return counts[part] / counts[whole] if counts.get(whole) else None
 
 
 def _mean(values: Iterable[float]) -> float | None:

@@ -21,7 +21,7 @@ class RunRecord:
         truth: index -> [4, 4] true camera-to-world pose, where known.
         monocular: whether the trajectory has no scale of its own.
         skipped: index -> why the frame could not be used.
-        counts: tracking_keyframes, mapping_keyframes, frames_lost.
+        counts: tracking_keyframes, mapping_keyframes, frames_lost, and what the mapper left out.
         class_names: mask id -> what the object is, where the data says.
         loop_s: seconds from the first frame's arrival to the last one's end.
         refine_iterations, refine_s: spent on the map after the last frame.

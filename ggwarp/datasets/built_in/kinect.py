@@ -94,7 +94,8 @@ def _windowed(white: Float32, sigma: float) -> Float32:
     """Return noise of standard deviation 1 that is alike within a window of ``sigma`` pixels."""
     kernel = cv2.getGaussianKernel(2 * int(np.ceil(3.0 * sigma)) + 1, max(sigma, 0.1), cv2.CV_32F)
     gain = float(np.sum(kernel**2))
-    return cv2.sepFilter2D(white, -1, kernel, kernel, borderType=cv2.BORDER_REFLECT) / np.float32(gain)
+    noise = cv2.sepFilter2D(white, -1, kernel, kernel, borderType=cv2.BORDER_REFLECT)
+    return (noise / np.float32(gain)).astype(np.float32)
 
 
 def _grazing(depth: Float32, camera: Camera) -> np.ndarray:

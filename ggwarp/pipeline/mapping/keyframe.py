@@ -119,6 +119,7 @@ class Keyframes(Sequence[Keyframe], Stateful):
         """Begin without any; their images go to ``images``, by number and name, which nobody else uses."""
         self.states: list[KeyframeState] = []
         self._images = images
+        self._left_out: dict[int, NDArray[np.bool_]] = {}
         self._packed_labels: dict[int, NDArray[np.uint8]] = {}  # those that have not changed since
         images.clear()
 
@@ -160,6 +161,18 @@ class Keyframes(Sequence[Keyframe], Stateful):
             self._images.put(key, array)
             self._packed_labels.pop(number, None)
 
+    def leave_out(self, number: int, pixels: NDArray[np.bool_]) -> int:
+        """Take the depth of ``pixels`` [h, w] from keyframe ``number``; return how many had one."""
+        key = number, "depth"
+        array = self._images.get(key)
+        depth = to_host(array)
+        had = int(np.count_nonzero(pixels & (depth > 0.0)))
+        if had:
+            array.assign(np.where(pixels, np.float32(0), depth))
+            self._images.put(key, array)
+            self._left_out[number] = self._left_out.get(number, False) | pixels
+        return had
+
     @property
     def indices(self) -> list[int]:
         """The frames that they are."""
@@ -180,6 +193,7 @@ class Keyframes(Sequence[Keyframe], Stateful):
             "checksums": [k.checksum for k in self.states],
             "has_depth": [k.has_depth for k in self.states],
             "labels": [self._packed_labels.get(number) for number in range(len(self))],
+            "left_out": {str(number): np.packbits(pixels) for number, pixels in self._left_out.items()},
             "fitted": fitted,
         }
 
@@ -194,6 +208,9 @@ class Keyframes(Sequence[Keyframe], Stateful):
             for name in (*POSE, *EXPOSURE):
                 into_array(getattr(keyframe, name), state["fitted"][name][number])
             self.append(keyframe)
+            if (bits := state["left_out"].get(str(number))) is not None:
+                pixels = np.unpackbits(bits, count=frame.rgb.shape[0] * frame.rgb.shape[1])
+                self.leave_out(number, pixels.reshape(frame.rgb.shape[:2]).astype(bool))
 
     def pose(self, number: int) -> Float64:
         """Return the camera-to-world pose [4, 4] of keyframe ``number`` (-1: the newest) as it is now."""

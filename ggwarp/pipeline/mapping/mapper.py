@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 import warp as wp
 
+from ggwarp.geometry import se3
 from ggwarp.geometry.pose_correction import PoseCorrection
 from ggwarp.kernels.optim.rigid_motion import move_gaussians
 from ggwarp.map.covisibility import Covisibility
@@ -17,6 +19,13 @@ from ggwarp.map.renderer import Renderer
 from ggwarp.map.surface_density import surface_density
 from ggwarp.objects.mask_supervision import SupervisionConfig
 from ggwarp.objects.object_learning import ObjectLearning
+from ggwarp.pipeline.mapping.contradiction import (
+    Bools,
+    MovingPixels,
+    clipped_share,
+    is_unusable,
+    without_pixels,
+)
 from ggwarp.pipeline.mapping.densification import RESET_OPACITY, lower_opacities
 from ggwarp.pipeline.mapping.depth_completion import DepthCompletion
 from ggwarp.pipeline.mapping.exposure import ExposureModel
@@ -32,6 +41,8 @@ from ggwarp.pipeline.mapping.seeding import (
 from ggwarp.runtime.state import Stateful
 from ggwarp.runtime.streams import to_host
 from ggwarp.types import Exposure, Float64, Frame, Rendered
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -55,6 +66,8 @@ class Mapper(Stateful):
         map: the Gaussians.
         objects: which Gaussian is of which object; None without identities.
         covisibility: what a pose sees of the map; None without a window.
+        left_out: pictures_left_out, pixels_left_out of those mapped, and keyframe_pixels, theirs in all.
+        refused: whether the last picture was left out, and the next frame may take its place.
     """
 
     STATE = (
@@ -66,6 +79,9 @@ class Mapper(Stateful):
         "_optimiser",
         "_depth_completion",
         "_identity_rng",
+        "_moving",
+        "left_out",
+        "refused",
     )
 
     def __init__(
@@ -106,6 +122,10 @@ class Mapper(Stateful):
         self.covisibility = covisibility
         self._exposures = exposures
         self._depth_completion = depth_completion
+        # Depth that is an estimate proves nothing.
+        self._moving = MovingPixels(renderer.camera) if depth_completion is None else None
+        self.refused = False
+        self.left_out = {"pictures_left_out": 0, "pixels_left_out": 0, "keyframe_pixels": 0}
 
     @property
     def ready(self) -> bool:
@@ -117,15 +137,27 @@ class Mapper(Stateful):
         """Frames that were ever used for mapping."""
         return self._keyframes.indices
 
-    def insert(self, frame: Frame, T_wc: Float64, exposure: Exposure | None = None) -> None:
+    def insert(self, frame: Frame, T_wc: Float64, exposure: Exposure | None = None) -> bool:
         """Make ``frame`` a keyframe and add the Gaussians that it shows and the map lacks.
+
+        What of it contradicts the map or the keyframes before it is left out, and what it contradicts of
+        those; a picture that is of no use is left out whole.
 
         Args:
             T_wc: [4, 4] its pose.
             exposure: of its picture as tracking found it, if it did.
+
+        Returns:
+            Whether it became one.
         """
         rendered = self.render(T_wc) if self.map.count else None
-        measured = frame
+        measured, wrong = frame, None  # what is contradicted stays in the picture, but does not count
+        if self._moving is not None:
+            wrong = self._contradicting(frame, T_wc, rendered, self._moving)
+            self.refused = wrong is None
+            if wrong is None:
+                return False
+            frame = without_pixels(frame, wrong)
         if self._depth_completion is not None:
             frame = self._depth_completion.complete(frame, T_wc, rendered)
             measured = replace(frame, depth=None)
@@ -135,7 +167,10 @@ class Mapper(Stateful):
             exposure = self._exposures.begin(frame, rendered, self._keyframes, exposure)
         seeds = training = None
         if self.objects is not None:
-            seeds, training = self.objects.supervise_keyframe(frame, T_wc, rendered)
+            whole = frame if wrong is None else measured
+            seeds, training = self.objects.supervise_keyframe(whole, T_wc, rendered)
+            if training is not None and wrong is not None:
+                training = np.where(wrong, np.int32(-1), training)
         camera, present = self._renderer.camera, None
         if rendered is not None and frame.depth is not None:
             present = surface_density(self.map, T_wc, camera, frame.depth, tolerance=DEPTH_TOLERANCE)
@@ -154,7 +189,42 @@ class Mapper(Stateful):
         )
         self.map.append(new)
         self._optimiser.add(upload(measured, T_wc, training, exposure, device=self._device))
+        if wrong is not None:
+            self._leave_out(len(self._keyframes) - 1, wrong)
+            self.left_out["keyframe_pixels"] += wrong.size
         self._drop_unconfirmed()
+        return True
+
+    def _contradicting(
+        self, frame: Frame, T_wc: Float64, rendered: Rendered | None, moving: MovingPixels
+    ) -> Bools | None:
+        """Return the pixels [h, w] that contradict the rest, and leave out what they disprove; None: all."""
+        assert frame.depth is not None
+        share = 0.0 if rendered is None else clipped_share(frame, rendered)
+        if is_unusable(share):
+            self.left_out["pictures_left_out"] += 1
+            said = "frame %d is not mapped: %.0f %% of what the map knows of it is clipped"
+            _log.warning(said, frame.index, 100.0 * share)
+            return None
+        number = len(self._keyframes)
+        moved = moving.add(number, frame.depth, T_wc)
+        for earlier, pixels in moved.items():
+            if earlier != number:
+                self._leave_out(earlier, pixels)
+        return moved.get(number, np.zeros(frame.depth.shape, bool))
+
+    def _leave_out(self, number: int, pixels: Bools) -> None:
+        """Take ``pixels`` [h, w] out of keyframe ``number``, and the Gaussians that it added there."""
+        new = self._keyframes.leave_out(number, pixels)
+        if not new:
+            return
+        self.left_out["pixels_left_out"] += new
+        means, born = (to_host(self.map.fields[n])[: self.map.count] for n in ("means", "keyframe_ids"))
+        T_cw = se3.inverse(self._keyframes.pose(number))
+        rows, columns, inside = self._renderer.camera.pixels_of(se3.transform_points(T_cw, means))
+        gone = (born == number) & inside & pixels[rows, columns]
+        if gone.any():
+            self.map.keep(wp.array((~gone).astype(np.int32), dtype=int, device=self._device))
 
     def move(self, correction: PoseCorrection) -> None:
         """Let keyframes follow a closed loop, and each Gaussian its keyframe, with Adam's memory of it."""
@@ -164,6 +234,8 @@ class Mapper(Stateful):
         for number, motion in enumerate(motions):
             if (motion != np.eye(4)).any():
                 self._keyframes.set_pose(number, motion @ self._keyframes.pose(number))
+        if self._moving is not None:
+            self._moving.move(motions)
         fields = self.map.fields
         move_gaussians(
             wp.array(motions.astype(np.float32), dtype=wp.mat44, device=self._device),
