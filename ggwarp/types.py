@@ -93,6 +93,8 @@ class FramePoints:
         noise: [n] float32 standard deviation of each point's depth by the sensor's model, metres.
         distances2: [n] float32 squared distance to the nearest trackable Gaussian after
             registration, m^2; inf where none is within reach.
+        noise_share: how much of ``noise`` the frame shows: 0 for rendered depth, near 1 for a
+            structured-light sensor's.
     """
 
     points: Float32
@@ -100,11 +102,17 @@ class FramePoints:
     spreads: Float32
     noise: Float32
     distances2: Float32
+    noise_share: float = 0.0
 
     @property
     def overlap(self) -> float:
         """Share of the points with a trackable Gaussian within reach; 0 where there are no points."""
         return overlap_of(self.distances2)
+
+    @property
+    def typical_noise(self) -> float:
+        """Median standard deviation of depth as the frame shows it, metres; 0 where there are no points."""
+        return self.noise_share * float(np.median(self.noise)) if len(self.noise) else 0.0
 
     @property
     def rmse(self) -> float:
@@ -217,6 +225,7 @@ class StepReport:
         T_wc: [4, 4] float64 the estimated (or predicted) pose.
         verdict, reason, overlap: see :class:`TrackResult`.
         rmse: see :class:`FramePoints`; 0 without points.
+        depth_noise_mm: its ``typical_noise``, millimetres; 0 without points.
         keyframe: "", "tracking" or "mapping".
         tracking_ms, mapping_ms: wall time, milliseconds.
         mapping_iterations: iterations spent during this frame.
@@ -245,6 +254,7 @@ class StepReport:
     gaussians: int
     loss: float
     latency_ms: float = float("nan")
+    depth_noise_mm: float = 0.0
     late_ms: float = 0.0
     frames_behind: int = 0
     loop_ms: float = 0.0

@@ -129,6 +129,7 @@ class PeerTracker:
             spreads=seen.spreads.numpy(),
             noise=seen.noise,
             distances2=distances2.astype(np.float32),
+            noise_share=seen.noise_share,
         )
         return TrackResult(T, Verdict.CONVERGED, points=observed, overlap=observed.overlap)
 

@@ -116,14 +116,19 @@ def quat_from_matrix(R: ArrayLike) -> Array:
 
 def matrix_from_quat(q: ArrayLike) -> Array:
     """Return the rotation [3, 3] of the quaternion ``q`` [4], w first (normalised here)."""
-    w, x, y, z = np.asarray(q, np.float64) / np.linalg.norm(q)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    return matrices_from_quats(np.asarray(q, np.float64)[None])[0]
+
+
+def matrices_from_quats(quats: ArrayLike) -> Array:
+    """Return [n, 3, 3] the rotations of ``quats`` [n, 4], w first (normalised here)."""
+    q = np.asarray(quats, np.float64)
+    w, x, y, z = (q / np.linalg.norm(q, axis=1, keepdims=True)).T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), -1, 0)
 
 
 def transform_points(T: ArrayLike, points: ArrayLike) -> Array:

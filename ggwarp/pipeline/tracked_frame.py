@@ -62,6 +62,7 @@ class TrackedFrame:
             reason=result.reason,
             overlap=result.overlap,
             rmse=0.0 if result.points is None else result.points.rmse,
+            depth_noise_mm=0.0 if result.points is None else 1e3 * result.points.typical_noise,
             keyframe=self.kind.value,
             tracking_ms=1e3 * self.seconds,
             mapping_ms=1e3 * seconds,

@@ -48,6 +48,7 @@ FRAME_COLUMNS: tuple[str, ...] = (
     "reason",
     "overlap",
     "rmse_mm",
+    "depth_noise_mm",
     "keyframe",
     "tracking_ms",
     "mapping_ms",

@@ -1,9 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Direct alignment of a camera's picture to a rendered one, coarse to fine, by Gauss-Newton."""
+"""Direct alignment of a camera's picture to others of known depth, coarse to fine, by Gauss-Newton.
+
+The others are references: a render of the map, or pictures that were taken before with their depth.
+"""
 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,10 +20,15 @@ from ggwarp.geometry.camera import Camera
 from ggwarp.kernels.camera import intrinsics_of
 from ggwarp.kernels.photometric import alignment, image_pyramid
 from ggwarp.runtime.streams import to_host
+from ggwarp.solvers.pose_equations import (
+    POSE,
+    Prior,
+    System,
+    gauss_newton_step,
+    joint_equations,
+    pose_information,
+)
 from ggwarp.types import Float32, Float64
-
-INDEPENDENCE = 0.03
-"""Share of the pixels that count: the errors of neighbours are alike."""
 
 _LEVELS = 3
 """Sizes of the pictures, each half of the one before."""
@@ -45,42 +54,18 @@ _EDGE = 0.05
 _MIN_OPACITY = 0.95
 """Nothing is compared where the render is less opaque."""
 
-_EXPOSURE_DEVIATION = 0.3
-"""Expected deviation of the exposure's parameters from 0, one standard deviation."""
-
 
 @dataclass(frozen=True)
-class Prior:
-    """What is known of a pose beforehand.
+class Reference:
+    """What a picture is aligned to.
 
     Attributes:
+        levels: its views, finest first; see :mod:`ggwarp.kernels.photometric.image_pyramid`.
         T_cw: [4, 4] world to camera.
-        information: [6, 6] inverse covariance of tau in T_cw <- Exp(tau) T_cw.
     """
 
+    levels: list[Any]
     T_cw: Float64
-    information: Float64
-
-
-@dataclass(frozen=True)
-class System:
-    """Normal equations for (tau, a, b), without a prior.
-
-    Attributes:
-        H: [8, 8]. gradient: [8].
-        cost: of colour, robust, a sum.
-        pixels: whose colour is compared.
-    """
-
-    H: Float64
-    gradient: Float64
-    cost: float
-    pixels: int
-
-    @property
-    def mean_cost(self) -> float:
-        """Robust cost of a pixel, 0 to the robust scale squared; inf where none was compared."""
-        return self.cost / self.pixels if self.pixels else float("inf")
 
 
 @dataclass(frozen=True)
@@ -88,17 +73,31 @@ class Alignment:
     """Where an alignment ended.
 
     Attributes:
-        T_cw: [4, 4] world to camera. exposure: (a, b).
-        system: at the finest size, one step before the end.
+        T_cw: [4, 4] world to camera.
+        exposures: (a, b) against each reference.
+        systems: of each reference at the finest size, one step before the end.
+        information: [6, 6] of tau, inverse covariance if the noise is what it is taken for: of all references
+            and the prior, whatever the exposures are.
         converged: whether the last step was below the tolerance.
         iterations: steps in all.
     """
 
     T_cw: Float64
-    exposure: tuple[float, float]
-    system: System
+    exposures: list[tuple[float, float]]
+    systems: list[System]
+    information: Float64
     converged: bool
     iterations: int
+
+    @property
+    def exposure(self) -> tuple[float, float]:
+        """Against the first reference."""
+        return self.exposures[0]
+
+    @property
+    def system(self) -> System:
+        """Of the first reference."""
+        return self.systems[0]
 
 
 def halved(camera: Camera) -> Camera:
@@ -114,98 +113,154 @@ def halved(camera: Camera) -> Camera:
 
 
 class Aligner:
-    """Aligns pictures of one camera to renders for it, in arrays that are kept.
+    """Aligns pictures of one camera to references, in arrays that are kept.
 
     Attributes:
         cameras: of each size, finest first.
     """
 
-    def __init__(self, camera: Camera, *, device: Any) -> None:
+    def __init__(
+        self,
+        camera: Camera,
+        *,
+        colour_noise: float = _COLOUR_NOISE,
+        agreement: float = 0.0,
+        max_pixels: int | None = None,
+        device: Any,
+    ) -> None:
+        """Prepare to align pictures of ``camera``'s size.
+
+        Args:
+            colour_noise: standard deviation of a colour, 0..1.
+            agreement: see :func:`ggwarp.kernels.photometric.alignment.linearise`.
+            max_pixels: larger sizes than this are only made smaller; None: the picture's own is compared.
+        """
         self._device = wp.get_device(device)
         self.cameras = [camera]
+        self._finest = 0
+        while max_pixels is not None and self.cameras[-1].width * self.cameras[-1].height > max_pixels:
+            self.cameras.append(halved(self.cameras[-1]))
+            self._finest += 1
         for _ in range(_LEVELS - 1):
             self.cameras.append(halved(self.cameras[-1]))
-        sizes = [(c.height, c.width) for c in self.cameras]
-        row: Any = wp.vec4
-        self._rendered, self._observed = (
-            [wp.zeros(size, dtype=row, device=self._device) for size in sizes] for _ in range(2)
-        )
-        self._T_rw, self._depth_noise = np.eye(4), 0.0
-        items = alignment.item_count(*sizes[0])
+        self._noise, self._agreement, self._depth_noise = colour_noise, agreement, 0.0
+        self._observed = self._empty_levels()
+        self._rendered: Reference | None = None
+        items = alignment.item_count(camera.height, camera.width)
         self._sums = wp.empty((items, alignment.SUMS), dtype=float, device=self._device)
         total: Any = wp.float64
         self._system = wp.zeros(alignment.SUMS, dtype=total, device=self._device)
 
-    def take_picture(self, rgb: NDArray[np.uint8], depth: Float32 | None = None) -> None:
-        """Take what the camera sees: ``rgb`` [h, w, 3] and ``depth`` [h, w], metres, 0 = none."""
-        byte: Any = wp.uint8
-        colour = wp.array(rgb, dtype=byte, device=self._device)
-        readings = None if depth is None else wp.array(depth, dtype=float, device=self._device)
-        self._depth_noise = 0.0 if depth is None else _DEPTH_NOISE
-        image_pyramid.pack_picture(colour, readings, view=self._observed[0], device=self._device)
-        self._shrink(self._observed)
+    @property
+    def compared_camera(self) -> Camera:
+        """The camera of the finest size that is compared."""
+        return self.cameras[self._finest]
+
+    def _empty_levels(self, shared: Sequence[Any] = ()) -> list[Any]:
+        """Return a view's levels; ``shared`` are the finest, which are only made smaller."""
+        row: Any = wp.vec4
+        own = self.cameras[len(shared) :]
+        return [*shared, *(wp.zeros((c.height, c.width), dtype=row, device=self._device) for c in own)]
+
+    def take_picture(
+        self, rgb: NDArray[np.uint8], depth: Float32 | None = None, *, compare_depth: bool = True
+    ) -> None:
+        """Take what the camera sees: ``rgb`` [h, w, 3] and ``depth`` [h, w], metres, 0 = none.
+
+        Args:
+            compare_depth: it is a measurement, too; else it only says what is hidden.
+        """
+        self._depth_noise = _DEPTH_NOISE if compare_depth and depth is not None else 0.0
+        self._pack(rgb, depth, self._observed)
+
+    def reference(self, rgb: NDArray[np.uint8], depth: Float32, T_wc: Float64) -> Reference:
+        """Return a picture of this camera from ``T_wc`` [4, 4], with its depth, to align others to."""
+        levels = self._empty_levels(self._observed[: self._finest])
+        self._pack(rgb, depth, levels)
+        return Reference(levels, se3.inverse(T_wc))
 
     def take_render(self, image: Any, transmittance: Any, T_cw: Float64) -> None:
-        """Take a render from ``T_cw`` [4, 4].
+        """Take a render from ``T_cw`` [4, 4] as the reference of those that follow.
 
         Args:
             image: [>= 4, Hp, Wp] colour and expected depth. transmittance: [Hp, Wp].
         """
+        levels = self._rendered.levels if self._rendered else self._empty_levels()
         image_pyramid.pack_render(
             image,
             transmittance,
             min_opacity=_MIN_OPACITY,
-            view=self._rendered[0],
+            view=levels[0],
             device=self._device,
         )
-        self._shrink(self._rendered)
-        self._T_rw = np.array(T_cw, np.float64)
+        self._shrink(levels)
+        self._rendered = Reference(levels, np.array(T_cw, np.float64))
 
     def align(
         self,
         T_cw: Float64,
         *,
+        references: Sequence[Reference] = (),
         exposure: tuple[float, float] = (0.0, 0.0),
         fit_exposure: bool = True,
         prior: Prior | None = None,
     ) -> Alignment:
-        """Search the pose from which the picture was taken, near that of the render.
+        """Search the pose from which the picture was taken, near those of the references.
 
         Args:
             T_cw: [4, 4] world to camera, where to start.
-            exposure: (a, b) to start from; the picture is e^a render + b.
-            fit_exposure: search (a, b), too.
+            references: what to align to; none: the render.
+            exposure: (a, b) to start from; the picture is e^a reference + b.
+            fit_exposure: search (a, b), too, for each reference.
             prior: weighed against the pixels' information.
+
+        Raises:
+            ValueError: there is no reference, nor a render.
         """
-        T, (a, b) = np.array(T_cw, np.float64), exposure
-        system, converged, iterations = None, False, 0
-        for level in reversed(range(_LEVELS)):
+        if not references:
+            references = [self._taken_render()]
+        T, exposures = np.array(T_cw, np.float64), [exposure] * len(references)
+        systems: list[System] = []
+        H, converged, iterations = np.zeros((8, 8)), False, 0
+        for level in reversed(range(self._finest, self._finest + _LEVELS)):
             for _ in range(_ITERATIONS):
-                system = self.linearise(level, T, (a, b))
-                step = self._step(system, level, T, (a, b), fit_exposure, prior)
-                T = se3.se3_exp(step[:6]) @ T
-                a, b = a + float(step[6]), b + float(step[7])
+                pairs = zip(references, exposures, strict=True)
+                systems = [self.linearise(level, T, e, reference) for reference, e in pairs]
+                # A coarse pixel stands for the fine ones under it.
+                share = 4.0 ** (level - self._finest)
+                H, gradient = joint_equations(systems, share, T, exposures, prior)
+                step = gauss_newton_step(H, gradient, len(H) if fit_exposure else POSE)
+                T = se3.se3_exp(step[:POSE]) @ T
+                changes = step[POSE:].reshape(-1, 2).tolist()
+                exposures = [(a + da, b + db) for (a, b), (da, db) in zip(exposures, changes, strict=True)]
                 iterations += 1
                 converged = bool(max(np.linalg.norm(step[:3]), np.linalg.norm(step[3:6])) < _TOLERANCE)
                 if converged:
                     break
-        assert system is not None
-        return Alignment(se3.orthonormalised(T), (a, b), system, converged, iterations)
+        T_cw = se3.orthonormalised(T)
+        return Alignment(T_cw, exposures, systems, pose_information(H), converged, iterations)
 
     def linearise(
         self,
         level: int,
         T_cw: Float64,
         exposure: tuple[float, float],
+        reference: Reference | None = None,
     ) -> System:
-        """Return the normal equations at ``T_cw`` [4, 4] for pictures of size ``level`` (0: the finest)."""
+        """Return the normal equations at ``T_cw`` [4, 4] for pictures of size ``level`` (0: the camera's).
+
+        Args:
+            reference: None: the render.
+        """
+        reference = reference or self._taken_render()
         alignment.linearise(
-            self._rendered[level],
+            reference.levels[level],
             self._observed[level],
             intrinsics_of(self.cameras[level]),
-            motion=_matrix(T_cw @ se3.inverse(self._T_rw)),
+            motion=_matrix(T_cw @ se3.inverse(reference.T_cw)),
             exposure=exposure,
-            noise=(_COLOUR_NOISE, _ROBUST_SCALE, _EDGE, self._depth_noise),
+            noise=(self._noise, _ROBUST_SCALE, _EDGE, self._depth_noise),
+            agreement=self._agreement,
             sums=self._sums,
             system=self._system,
             device=self._device,
@@ -220,34 +275,17 @@ class Aligner:
             pixels=int(numbers[45]),
         )
 
-    def _step(
-        self,
-        system: System,
-        level: int,
-        T_cw: Float64,
-        exposure: tuple[float, float],
-        fit_exposure: bool,
-        prior: Prior | None,
-    ) -> Float64:
-        """Return the Gauss-Newton step (tau, a, b) [8]; zeros where nothing fixes the pose."""
-        # A coarse pixel stands for the fine ones under it.
-        share = INDEPENDENCE * 4.0**level
-        H, gradient = share * system.H, share * system.gradient
-        if prior is not None:
-            H[:6, :6] += prior.information
-            gradient[:6] += prior.information @ se3.se3_log(T_cw @ se3.inverse(prior.T_cw))
-        precision = 1.0 / _EXPOSURE_DEVIATION**2
-        H[[6, 7], [6, 7]] += precision
-        gradient[6:] += precision * np.array(exposure)
-        used = 8 if fit_exposure else 6
-        step = np.zeros(8)
-        # A hundred-thousandth of the diagonal steadies directions that nothing fixes.
-        H[range(8), range(8)] *= 1.0 + 1e-5
-        try:
-            step[:used] = np.linalg.solve(H[:used, :used], -gradient[:used])
-        except np.linalg.LinAlgError:
-            return np.zeros(8)
-        return step if np.isfinite(step).all() else np.zeros(8)
+    def _taken_render(self) -> Reference:
+        if self._rendered is None:
+            raise ValueError("nothing to align to: neither references nor a render")
+        return self._rendered
+
+    def _pack(self, rgb: NDArray[np.uint8], depth: Float32 | None, levels: list[Any]) -> None:
+        byte: Any = wp.uint8
+        colour = wp.array(rgb, dtype=byte, device=self._device)
+        readings = None if depth is None else wp.array(depth, dtype=float, device=self._device)
+        image_pyramid.pack_picture(colour, readings, view=levels[0], device=self._device)
+        self._shrink(levels)
 
     def _shrink(self, levels: list[Any]) -> None:
         for fine, coarse in itertools.pairwise(levels):

@@ -86,6 +86,8 @@ class Registration:
         T_wc: [4, 4] float64.
         information: [6, 6] float64, H at the last linearisation: the inverse covariance of the pose in
             the camera, (translation, rotation), if the points' covariances are those of their noise.
+        across: [6, 6] float64, the part of it that surfaces say where they face, at the pose found: without
+            what lies along them; see :func:`ggwarp.kernels.registration.gicp.fix_across`.
         cost: robust cost there.
         matched: matched pairs there.
         converged: whether the last stage's last step was below its tolerance.
@@ -94,6 +96,7 @@ class Registration:
 
     T_wc: Float64
     information: Float64
+    across: Float64
     cost: float
     matched: int
     converged: bool
@@ -176,6 +179,18 @@ class Registrar(Stateful):
             self._graphs.run(thinnings, lambda: self._run(thinnings, room), arrays=self._room)
         else:
             self._run([stage.thinning for stage in stages], cloud.count)
+        if stages:
+            gicp.fix_across(
+                self._arrays.problem,
+                self._arrays.stages,
+                stage=len(stages) - 1,
+                count=cloud.count,
+                pose=self._arrays.pose,
+                sums=self._arrays.sums,
+                folded=self._arrays.folded,
+                system=self._across,
+                device=self._device,
+            )
         return self._result()
 
     def _run(self, thinnings: Sequence[int], count: int) -> None:
@@ -194,17 +209,18 @@ class Registrar(Stateful):
             return wp.zeros(shape, dtype=dtype, device=self._device)
 
         # What is read in the end lies together.
-        self._numbers = zeros(_POSE + gicp.SUMS + gicp_loop.PROGRESS, wp.float64)
+        self._numbers = zeros(_POSE + gicp.SUMS + gicp_loop.PROGRESS + gicp.SUMS, wp.float64)
         matrix: Any = wp.mat44d
         pose = wp.array(ptr=self._numbers.ptr, dtype=matrix, shape=1, device=self._device)
         pose._ref = self._numbers
+        self._across = self._numbers[-gicp.SUMS :]
         rows = max(1, gicp.block_count(self._room[0], self._device))
         self._arrays = gicp_loop.LoopArrays(
             problem=zeros(1, gicp.Problem),
             stages=zeros(max(1, self._room[1]), gicp.StageSettings),
             pose=pose,
             system=self._numbers[_POSE : _POSE + gicp.SUMS],
-            progress=self._numbers[_POSE + gicp.SUMS :],
+            progress=self._numbers[_POSE + gicp.SUMS : -gicp.SUMS],
             state=zeros(gicp_loop.STATES, wp.int32),
             sums=zeros((rows, gicp.SUMS), wp.float64),
             folded=zeros((gicp.FOLDED, gicp.SUMS), wp.float64),
@@ -231,10 +247,11 @@ class Registrar(Stateful):
 
     def _result(self) -> Registration:
         numbers: Float64 = np.array(to_host(self._numbers), np.float64)
-        system, progress = numbers[_POSE : _POSE + gicp.SUMS], numbers[_POSE + gicp.SUMS :]
+        system, progress = numbers[_POSE : _POSE + gicp.SUMS], numbers[_POSE + gicp.SUMS : -gicp.SUMS]
         return Registration(
             T_wc=numbers[:_POSE].reshape(4, 4),
             information=unpack_information(system),
+            across=unpack_information(numbers[-gicp.SUMS :]),
             cost=float(system[27]),
             matched=int(system[28]),
             converged=bool(progress[gicp_loop.CONVERGED]),

@@ -18,7 +18,7 @@ from ggwarp.pipeline.mapping.mapper import MapperConfig
 from ggwarp.pipeline.runner import AHEAD, SideError, run_steps
 from ggwarp.pipeline.scheduler import UncappedScheduler
 from ggwarp.pipeline.slam import Slam, SlamConfig
-from ggwarp.pipeline.tracking.gicp import GicpTracker
+from ggwarp.pipeline.tracking.hybrid import HybridTracker
 from ggwarp.types import Frame
 
 BOTH_WAYS = pytest.mark.parametrize("concurrent", [False, True], ids=["in turn", "concurrent"])
@@ -205,7 +205,7 @@ def test_beside_is_in_turn_to_the_bit(device: str) -> None:
 def test_a_tracker_that_sees_the_gaussians_works_in_turn(
     device: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(GicpTracker, "needs_gaussians", True, raising=False)
+    monkeypatch.setattr(HybridTracker, "needs_gaussians", True)
     with pytest.raises(ValueError, match="in turn"):
         office_run(device, concurrent=True)
     assert len(office_run(device, concurrent=False).reports) == 6

@@ -49,9 +49,9 @@ SCRATCH = {
     "Neighbourhood.neighbours",
     "Registrar._arrays",
     "Registrar._numbers",
+    "Registrar._across",
     "Aligner._rendered",
     "Aligner._observed",
-    "Aligner._T_rw",
     "Aligner._depth_noise",
     "Aligner._sums",
     "Aligner._system",
@@ -63,8 +63,12 @@ SCRATCH = {
     # Of the frame that is being tracked.
     "GicpTracker._before",
     "GicpTracker.registration",
+    "GicpTracker.information",
+    "GicpTracker.predicted",
+    "GicpTracker._seen",
     # Made of the rest, when it is next asked for.
     "GicpTracker._target",
+    "ReferenceViews._prepared",
     "TrackableMap._snapshot",
     "Keyframes._packed_labels",
     "GaussianMap.allocation",
@@ -86,7 +90,7 @@ def configurations() -> dict[str, SlamConfig]:
     often = dataclasses.replace(monogs.covisibility, interval=2)
     monogs = dataclasses.replace(monogs, covisibility=often)
     return {
-        "gicp": changed(default, iterations=3, seed=5),
+        "gicp": changed(dataclasses.replace(default, tracker="gicp"), iterations=3, seed=5),
         "gicp, 3-D term": changed(default, iterations=3, classifier=with_3d),
         "hybrid": changed(dataclasses.replace(default, tracker="hybrid"), iterations=3),
         "untracked masks": changed(dataclasses.replace(default, masks_kind="untracked"), iterations=3),

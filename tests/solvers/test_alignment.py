@@ -7,7 +7,8 @@ import warp as wp
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
-from ggwarp.solvers.alignment import Aligner, Prior, halved
+from ggwarp.solvers.alignment import Aligner, halved
+from ggwarp.solvers.pose_equations import Prior
 
 CAMERA = Camera(120, 91, 110.0, 110.0, 59.5, 45.0)
 

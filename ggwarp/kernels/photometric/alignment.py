@@ -7,8 +7,9 @@ the observing camera, is compared with what is seen there:
     r_c = e^a I_c(p) + b - O_c(pi(x)),        r_d = n . (y - x)
 
 for each colour c, with exposure (a, b), and for the depth reading y nearest to x, against the rendered
-surface's normal n. T_cw <- Exp(tau) T_cw, tau = (v, w), moves x by v + w x x. Standard deviations and
-Geman-McClure's kernel weigh both. Sums go piece of a row -> system in a fixed order.
+surface's normal n. Colour may be left out where the reading nearest to pi(x) is of another surface: p is
+hidden there, or was never what it seems. T_cw <- Exp(tau) T_cw, tau = (v, w), moves x by v + w x x. Standard
+deviations and Geman-McClure's kernel weigh both. Sums go piece of a row -> system in a fixed order.
 """
 
 from typing import Any
@@ -101,11 +102,15 @@ def _add_pixel(
     bias: float,
     noise: float,
     robust: float,
+    agreement: float,
 ) -> vec46:
     iz = 1.0 / x[2]
     u = camera.fx * x[0] * iz + camera.cx
     v = camera.fy * x[1] * iz + camera.cy
     inside = u >= 0.0 and v >= 0.0 and u < float(observed.shape[1] - 1) and v < float(observed.shape[0] - 1)
+    if inside and agreement > 0.0:
+        z = observed[int(v + 0.5), int(u + 0.5)][3]
+        inside = z > 0.0 and wp.abs(z - x[2]) <= agreement * x[2]
     if inside:
         j = int(u)
         i = int(v)
@@ -194,6 +199,7 @@ def _linearise(
     motion: wp.mat44,
     exposure: wp.vec2,
     noise: wp.vec4,
+    agreement: float,
     sums: wp.array2d[float],
 ):
     item = offset + wp.tid()
@@ -210,7 +216,9 @@ def _linearise(
             seen = rendered[row, column]
             x = transform_point(motion, _lift(float(column), float(row), seen[3], camera))
             if x[2] > _NEAR:
-                total = _add_pixel(total, observed, seen, x, camera, gain, exposure[1], noise[0], noise[1])
+                total = _add_pixel(
+                    total, observed, seen, x, camera, gain, exposure[1], noise[0], noise[1], agreement
+                )
                 if noise[3] > 0.0:
                     normal = rotation_of(motion) * _normal(rendered, row, column, camera)
                     total = _add_depth(total, observed, normal, x, camera, noise[3], noise[1])
@@ -240,6 +248,7 @@ def linearise(
     motion: wp.mat44,
     exposure: tuple[float, float],
     noise: tuple[float, float, float, float],
+    agreement: float = 0.0,
     sums: Any,
     system: Any,
     device: Any,
@@ -253,6 +262,8 @@ def linearise(
         noise: standard deviation of a colour, 0..1; deviations at which the robust kernel halves a residual's
             share of the cost; relative jump of depth within a pixel that makes an edge; standard deviation of
             depth, metres, 0 where depth is not compared.
+        agreement: colour is compared where the observed depth differs by no more than this share of the
+            expected one; 0: everywhere.
         sums: [>= item_count(h, w), SUMS] float, scratch.
         system: [SUMS] float64, written; see :data:`SUMS`.
     """
@@ -262,7 +273,7 @@ def linearise(
         _linearise,
         items,
         inputs=[
-            pieces, rendered, observed, camera, motion, wp.vec2(*exposure), wp.vec4(*noise),
+            pieces, rendered, observed, camera, motion, wp.vec2(*exposure), wp.vec4(*noise), agreement,
         ],
         outputs=[sums],
         device=device,

@@ -100,14 +100,21 @@ def _plane_scales(
     spreads: wp.array[wp.vec3],
     noise_floor: float,
     noise_growth: float,
+    noise_share: float,
+    neighbours: int,
     slip: float,
     scales: wp.array[wp.vec3],
 ):
     i = wp.tid()
     z = points[i][2]
     noise = noise_floor + noise_growth * z * z
-    thickness = spreads[i][2]
-    scales[i] = wp.vec3(slip, slip, wp.sqrt(noise * noise + thickness * thickness))
+    extent = spreads[i]
+    across = wp.sqrt(noise * noise + extent[2] * extent[2])
+    # A plane through k readings of deviation s, spread over e, is tilted by s / (sqrt(k) e).
+    free = wp.sqrt(float(neighbours)) * across / wp.max(noise_share * noise, 1.0e-9)
+    scales[i] = wp.vec3(
+        wp.max(across, wp.min(slip, free * extent[0])), wp.max(across, wp.min(slip, free * extent[1])), across
+    )
 
 
 def plane_scales(
@@ -116,6 +123,8 @@ def plane_scales(
     *,
     noise_floor: float,
     noise_growth: float,
+    noise_share: float,
+    neighbours: int,
     slip: float,
     scales: Any,
     device: Any,
@@ -125,17 +134,23 @@ def plane_scales(
     Across: the sensor's noise and the thickness of the neighbourhood, which is more than noise where
     the surface bends or two surfaces meet, and the normal means little.
 
+    Along: as far as the surface can be moved along itself before the error of its normal moves it across by
+    a deviation. Two surfaces that were freer could not be told from ones at an angle, and of noisy points
+    only those would count whose normals happen to agree.
+
     Args:
         points: [n] wp.vec3, camera frame, metres.
         spreads: [n] wp.vec3, the neighbourhood's standard deviations, falling, metres.
         noise_floor, noise_growth: standard deviation of depth, noise_floor + noise_growth z^2, metres.
-        slip: standard deviation along the surface, metres.
-        scales: [n] wp.vec3, written: (slip, slip, across), as :func:`estimate_covariances` orders its axes.
+        noise_share: how much of it there is: that tilts the normals.
+        neighbours: readings in a neighbourhood.
+        slip: largest standard deviation along the surface, metres.
+        scales: [n] wp.vec3, written: (along, along, across), as :func:`estimate_covariances` orders its axes.
     """
     wp.launch(
         _plane_scales,
         dim=points.shape[0],
-        inputs=[points, spreads, noise_floor, noise_growth, slip],
+        inputs=[points, spreads, noise_floor, noise_growth, noise_share, neighbours, slip],
         outputs=[scales],
         device=device,
     )

@@ -11,7 +11,8 @@ import numpy as np
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from ggwarp.geometry.pose_correction import PoseCorrection
-from ggwarp.pipeline.tracking.motion_model import MotionModel, depth_time, position_std
+from ggwarp.geometry.uncertainty import position_std
+from ggwarp.pipeline.tracking.motion_model import MotionModel, depth_time
 from ggwarp.pipeline.tracking.preprocess import Observation, ObservationConfig, observe
 from ggwarp.pipeline.tracking.relocalisation import Relocaliser, ViewConsistency
 from ggwarp.runtime.state import Stateful
@@ -19,15 +20,12 @@ from ggwarp.runtime.streams import to_host
 from ggwarp.solvers.registration import (
     Registrar,
     Registration,
-    RegistrationStage,
     RegistrationTarget,
     build_target,
     match_distances2,
 )
+from ggwarp.solvers.registration_stages import RADII, REACH, coarse_to_fine_stages
 from ggwarp.types import Float32, Float64, Frame, FramePoints, MapSnapshot, TrackResult, Verdict, overlap_of
-
-REACH = 1.5
-"""No search for a match ends below so many spacings of points: sparse points always leave a gap."""
 
 OVERLAP_DISTANCE = 0.0316
 """A point within this distance of the map is matched, metres; at least ``REACH`` spacings."""
@@ -36,24 +34,11 @@ MAX_POSITION_STD = 0.01
 """A frame whose position is uncertain by more along some direction is poor, or lost if its overlap is poor
 too, metres; thrice that where earlier views agree with it."""
 
-_RADII = (0.3, 0.1, 0.03)
-"""Farthest match of each stage, coarse to fine, metres; at least ``REACH`` spacings of points."""
-
-_ITERATIONS = (6, 6, 15)
-"""Linearisations of each stage at most."""
-
-_COARSE_THINNING = 4
-"""All stages but the last use every fourth point."""
-
-_COARSE_TOLERANCE, _TOLERANCE = 1e-3, 1e-4
-"""A coarse stage, and the last one, ends when a step is smaller, metres and radians."""
-
-_ROBUST_SCALE = 3.0
-"""Standard deviations at which Geman-McClure's kernel halves a residual's share of the cost in the last
-stage; wider in coarse stages, in the ratio of their radii."""
-
 _MIN_POINTS = 200
 """A frame with fewer points is lost."""
+
+_FREE = 1.0
+"""A position that is more uncertain may be anywhere, metres."""
 
 _LOST_OVERLAP = 0.2
 """A frame with a smaller share of points that lie on the map is lost."""
@@ -86,6 +71,8 @@ class GicpTracker(Stateful):
     Attributes:
         needs_gaussians: no: trackable points are enough.
         registration: of the last frame, whether it was accepted or not; None where there was none.
+        information: [6, 6] of that registration, for what depth alone knows of the pose.
+        predicted: [4, 4] the pose of the last frame's depth as its motion before let expect; None at first.
     """
 
     STATE = ("_registrar", "_relocaliser", "_motion", "_target_version", "_cell_size")
@@ -103,7 +90,10 @@ class GicpTracker(Stateful):
         self._cell_size = 0.0
         self._motion: MotionModel | None = None
         self._before: MotionModel | None = None
+        self._seen: Observation | None = None
         self.registration: Registration | None = None
+        self.information: Float64 = np.zeros((6, 6))
+        self.predicted: Float64 | None = None
 
     def start(self, frame: Frame, T_wc: Float64) -> TrackResult:
         """Take the first frame, whose pose [4, 4] is given; all its points are new to the map.
@@ -125,21 +115,36 @@ class GicpTracker(Stateful):
         """
         if self._motion is None:
             raise RuntimeError("track() before start(): the first frame's pose must be given")
-        seen = self._observe(frame)
-        self._before, self.registration = self._motion, None
-        predicted = self._motion.predict(depth_time(frame))
+        seen = self._seen = self._observe(frame)
+        self._before, self.registration, self.information = self._motion, None, np.zeros((6, 6))
+        predicted = self.predicted = self._motion.predict(depth_time(frame))
         if seen.count < _MIN_POINTS:
             return self._lose(frame, predicted, seen, None, self._too_few(seen))
         self._aim(target, seen.spacing)
         found = self._search(frame, seen, predicted)
-        self.registration, T_wd = found.fit, found.fit.T_wc
-        verdict, reason = self._judge(found, predicted)
+        verdict, reason = self._judge(found, seen, predicted)
         if verdict is Verdict.LOST:
             return self._lose(frame, predicted, seen, found.distances2, reason)
-        self._motion = self._motion.updated(T_wd, depth_time(frame))
-        self._relocaliser.remember(frame, T_wd)
-        result = _result(T_wd, self._motion.to_colour(frame), seen, found.distances2, verdict, reason)
-        return replace(result, information=found.fit.information)
+        self._motion = self._motion.updated(found.fit.T_wc, depth_time(frame))
+        self._relocaliser.remember(frame, found.fit.T_wc)
+        return self._registered(frame, seen, found, verdict, reason)
+
+    def register_again(self, frame: Frame, T_wc: Float64) -> TrackResult:
+        """Register the last frame, ``frame``, once more, with its colour from about ``T_wc`` [4, 4].
+
+        Sets ``registration`` and ``information``; :meth:`correct` makes the pose the last frame's.
+        """
+        assert self._seen is not None and self.predicted is not None
+        seen, T_dc = self._seen, self.to_colour(frame)
+        found = self._verified(frame, self._fit(seen, T_wc @ se3.inverse(T_dc)))
+        return self._registered(frame, seen, found, *self._judge(found, seen, self.predicted))
+
+    def _registered(
+        self, frame: Frame, seen: Observation, found: _RegisteredPose, verdict: Verdict, reason: str
+    ) -> TrackResult:
+        T_dc = self.to_colour(frame)
+        result = _result(found.fit.T_wc, T_dc, seen, found.distances2, verdict, reason)
+        return replace(result, information=self.information)
 
     def _too_few(self, seen: Observation) -> str:
         return f"{seen.count} depth points, {_MIN_POINTS} needed"
@@ -166,6 +171,11 @@ class GicpTracker(Stateful):
         if self._motion is not None:
             self._motion.T_wc = se3.orthonormalised(correction.at([index])[0] @ self._motion.T_wc)
 
+    def seconds_since_good(self, frame: Frame) -> float:
+        """Return how long before the last frame, ``frame``, the last good one was."""
+        assert self._before is not None
+        return abs(depth_time(frame) - self._before.time)
+
     def to_colour(self, frame: Frame) -> Float64:
         """Return the motion [4, 4] from the camera of the last frame's depth to that of its colour."""
         assert self._motion is not None
@@ -181,7 +191,7 @@ class GicpTracker(Stateful):
         """Prepare the map for registration, unless it is the one already prepared."""
         if target.version != self._target_version:
             # Points without a match look through every cell in reach: a bound keeps these few.
-            self._cell_size = max(2.5 * spacing, _RADII[0] / 8.0)
+            self._cell_size = max(2.5 * spacing, RADII[0] / 8.0)
             self._target_version, self._target = target.version, None
         if self._target is None:
             self._target = build_target(
@@ -210,7 +220,7 @@ class GicpTracker(Stateful):
 
     def _fit(self, seen: Observation, T_start: Float64) -> _RegisteredPose:
         assert self._target is not None
-        fit = self._registrar.register(seen.cloud, self._target, T_start, _stages(seen.spacing))
+        fit = self._registrar.register(seen.cloud, self._target, T_start, coarse_to_fine_stages(seen.spacing))
         return _RegisteredPose(fit, self._distances2(seen, fit.T_wc))
 
     def _distances2(self, seen: Observation, T_wc: Float64) -> Float32:
@@ -224,14 +234,16 @@ class GicpTracker(Stateful):
         distances2 = match_distances2(seen.cloud, self._target, T_wc, radius=farthest, device=self._device)
         return np.where(distances2 <= reach * reach, distances2, np.float32(np.inf))
 
-    def _judge(self, found: _RegisteredPose, predicted: Float64) -> tuple[Verdict, str]:
+    def _judge(self, found: _RegisteredPose, seen: Observation, predicted: Float64) -> tuple[Verdict, str]:
+        """Take note of a registration; return what it is worth, and why."""
         fit, overlap = found.fit, found.overlap
-        std, jump_reason = position_std(fit.information), self._jump(found, predicted)
+        self.registration, self.information = fit, seen.information(fit.across)
+        std, jump_reason = position_std(self.information), self._jump(found, predicted)
         overlap_reason = f"overlap {overlap:.2f} with the map"
-        std_reason = f"position free to slide by {std:.3f} m"
+        std_reason = f"position free to slide by {std:.3f} m" if std < _FREE else "position free to slide"
         if overlap < _LOST_OVERLAP:
             return Verdict.LOST, overlap_reason
-        if not np.isfinite(std):
+        if not np.isfinite(position_std(fit.information)):
             return Verdict.LOST, "the geometry does not fix the pose"
         if found.consistency is not None and not found.consistent:
             return Verdict.LOST, f"{overlap_reason}, {found.consistency} with earlier views"
@@ -285,16 +297,6 @@ class _RegisteredPose:
         return self.consistent, self.overlap * (1.0 if self.consistency is None else self.consistency.score)
 
 
-def _stages(spacing: float) -> list[RegistrationStage]:
-    *coarse, fine = [max(radius, REACH * spacing) for radius in _RADII]
-    *coarse_iterations, fine_iterations = _ITERATIONS
-    stages = [
-        RegistrationStage(radius, n, _COARSE_TOLERANCE, _ROBUST_SCALE * radius / fine, _COARSE_THINNING)
-        for radius, n in zip(coarse, coarse_iterations, strict=True)
-    ]
-    return [*stages, RegistrationStage(fine, fine_iterations, _TOLERANCE, _ROBUST_SCALE)]
-
-
 def _result(
     T_wd: Float64,
     T_dc: Float64,
@@ -316,5 +318,6 @@ def _result(
         spreads=to_host(seen.spreads),
         noise=seen.noise,
         distances2=np.full(seen.count, np.inf, np.float32) if distances2 is None else distances2,
+        noise_share=seen.noise_share,
     )
     return TrackResult(T_wd @ T_dc, verdict, reason, points, overlap=points.overlap)

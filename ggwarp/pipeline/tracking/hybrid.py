@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tracking by G-ICP, and by colour where geometry leaves the pose uncertain."""
+"""Tracking by depth and colour together: G-ICP to the map, direct alignment to views taken on the way."""
 
 from __future__ import annotations
 
@@ -11,64 +11,63 @@ import numpy as np
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from ggwarp.geometry.pose_correction import PoseCorrection
-from ggwarp.map.renderer import Renderer
+from ggwarp.geometry.uncertainty import loosened, position_std
 from ggwarp.pipeline.tracking.gicp import MAX_POSITION_STD, GicpConfig, GicpTracker
-from ggwarp.pipeline.tracking.motion_model import depth_time, position_std
-from ggwarp.pipeline.tracking.pose_refinement import RefinementConfig, Refiner
-from ggwarp.pipeline.tracking.preprocess import SLIP
+from ggwarp.pipeline.tracking.motion_model import depth_time
+from ggwarp.pipeline.tracking.reference_views import ReferenceViews, View
 from ggwarp.runtime.state import Stateful
-from ggwarp.solvers.alignment import Prior
-from ggwarp.types import Float32, Float64, Frame, MapSnapshot, TrackResult, Verdict
-
-_BASELINE = 4
-"""Pixels between the readings that are compared: depth is quantised, and neighbours share their error."""
-_ROWS = 8
-"""Every eighth row of a depth image is looked at."""
-
-
-_RENDERS = 2
-"""Renders of an alignment at most."""
-
-_CORRELATION = 0.3
-"""How much larger the pose's deviation is than the 6x6 system says at the depth's own noise."""
+from ggwarp.solvers.alignment import Alignment
+from ggwarp.solvers.pose_equations import Prior
+from ggwarp.types import Float64, Frame, MapSnapshot, TrackResult, Verdict
 
 _VELOCITY_DEVIATION = 0.1
 """Deviation of the velocity, metres and half radians a second: depth and colour are not taken at once."""
 
-_MAX_POSITION_STD = 2e-4
-"""Colour is asked where the position is more uncertain along some direction, metres."""
+_ACCELERATION = (3.0, 20.0)
+"""Deviation of a hand's acceleration, metres and radians a second squared."""
 
-_MIN_NOISE = 0.05
-"""Least noise that is assumed, as a share of the tracker's noise model."""
+_SURE_POSITION_STD = 2e-4
+"""Colour is asked where depth leaves the position more uncertain along some direction, metres."""
+
+_MIN_SHARE = 0.15
+"""A picture of which less can be compared with a view says nothing of the pose."""
+
+_MAX_COST = 1.0
+"""Nor does one that differs more: the robust cost of a pixel, in variances of a colour's noise."""
+
+_DOUBTFUL = 1.5
+"""A picture that differs by so many times what is usual may have been laid on its views wrongly."""
+
+_FORGETTING = 0.1
+"""Weight of the last frame in what is usual."""
+
+_MAX_STD = 0.02
+"""Nor does one that leaves the position more uncertain along some direction, metres."""
 
 
 class HybridTracker(Stateful):
-    """G-ICP whose pose becomes a prior of direct alignment where it is uncertain.
+    """One estimate from depth and colour, each weighed by what it leaves uncertain.
 
-    How uncertain is said by the 6x6 system and by the noise of the depth image itself, measured in it: with
-    clean depth and geometry on all sides colour has nothing to add; on a wall, or with a Kinect, it has.
+    G-ICP's pose is a prior of direct alignment to the latest views. How uncertain that prior is, is said by
+    the 6x6 system and by the noise of the depth image itself, measured in it: with clean depth and geometry
+    on all sides colour has nothing to add, and is not asked; on a wall, or with a Kinect, it has.
     """
 
-    STATE = ("_gicp", "_refiner")
-    needs_gaussians = True
+    STATE = ("_gicp", "_views", "_cost")
+    needs_gaussians = False
 
     def __init__(
-        self,
-        gicp: GicpConfig,
-        refinement: RefinementConfig,
-        sensor_camera: Camera,
-        renderer: Renderer,
-        *,
-        device: Any = "cpu",
+        self, gicp: GicpConfig, camera: Camera, sensor_camera: Camera, *, device: Any = "cpu"
     ) -> None:
-        """Make a tracker of frames with colour by ``renderer``'s camera and depth by ``sensor_camera``."""
-        self._noise = gicp.noise_floor, gicp.noise_growth
+        """Make a tracker of frames with colour by ``camera`` and depth by ``sensor_camera``."""
         self._gicp = GicpTracker(gicp, sensor_camera, device=device)
-        self._refiner = Refiner(refinement, renderer, renders=_RENDERS, device=device)
+        self._views = ReferenceViews(camera, device=device)
+        self._cost = _MAX_COST
 
     def start(self, frame: Frame, T_wc: Float64) -> TrackResult:
         """Take the first frame, whose pose [4, 4] is given."""
-        return self._gicp.start(frame, T_wc)
+        result = self._gicp.start(frame, T_wc)
+        return result if result.verdict is Verdict.LOST else self._remembered(frame, result)
 
     def track(self, frame: Frame, target: MapSnapshot) -> TrackResult:
         """Return the pose of the next frame.
@@ -77,26 +76,55 @@ class HybridTracker(Stateful):
             RuntimeError: there was no :meth:`start`.
         """
         result = self._gicp.track(frame, target)
-        prior = self._prior(frame, result)
-        sure = prior is not None and position_std(prior.information) <= _MAX_POSITION_STD
-        if sure and result.verdict is not Verdict.LOST:
-            return result
-        # A lost frame's registration may have std anywhere that geometry allows.
-        found = self._refiner.refine(frame, result.T_wc, prior=prior)
-        if found.objection:
-            return result
         lost = result.verdict is Verdict.LOST
-        if lost or self._weak():
-            self._gicp.correct(frame, found.T_wc)
-        else:
-            result = _with_points_kept(result, found.T_wc)
-        return dataclasses.replace(
+        # A lost frame's registration may have ended anywhere that geometry allows.
+        prior = None if lost else self._prior(frame, result)
+        if prior is not None and position_std(prior.information) <= _SURE_POSITION_STD:
+            return self._remembered(frame, result)
+        T_start = result.T_wc if prior is None else self._expected(frame, prior)
+        views = self._views.compared(frame, T_start)
+        found = self._views.align(frame, T_start, views, prior)
+        if prior is not None and found.system.mean_cost > _DOUBTFUL * self._cost:
+            result, found = self._by_colour_first(frame, result, views, found)
+        if self._objection(found):
+            held = self._held_by_motion(frame, result, T_start)
+            return result if lost else self._remembered(frame, held)
+        self._cost += _FORGETTING * (found.system.mean_cost - self._cost)
+        verdict, reason = self._verdict(result, found)
+        T_wc, exposure = se3.inverse(found.T_cw), self._views.exposure(found, views)
+        self._gicp.correct(frame, T_wc)
+        result = dataclasses.replace(
             result,
-            T_wc=found.T_wc,
-            verdict=Verdict.POOR if lost else result.verdict,
-            reason=f"by colour alone: {result.reason}" if lost else result.reason,
-            exposure=found.as_exposure(),
+            T_wc=T_wc,
+            verdict=verdict,
+            reason=reason,
+            exposure=exposure,
+            information=found.information,
         )
+        return self._remembered(frame, result)
+
+    def _by_colour_first(
+        self, frame: Frame, result: TrackResult, views: list[View], found: Alignment
+    ) -> tuple[TrackResult, Alignment]:
+        """Look for a pose at which picture and views agree better, and register there.
+
+        Depth that slides may end at a wrong place and hold it against colour.
+
+        Args:
+            result, found: by depth first; returned where nothing better is found.
+        """
+        T_start = self._predicted(frame)
+        alone = self._views.align(frame, T_start, views, None)
+        if self._objection(alone) or alone.system.mean_cost >= found.system.mean_cost:
+            return result, found
+        before, T_wc = (self._gicp.registration, self._gicp.information), se3.inverse(alone.T_cw)
+        again = self._gicp.register_again(frame, T_wc)
+        if again.verdict is not Verdict.LOST:
+            better = self._views.align(frame, T_wc, views, self._prior(frame, again))
+            if not self._objection(better) and better.system.mean_cost < found.system.mean_cost:
+                return again, better
+        self._gicp.registration, self._gicp.information = before
+        return result, found
 
     def on_pose_corrected(self, T_wc: Float64) -> None:
         """The points that poses rest on stay where they are, whatever becomes of a keyframe's pose."""
@@ -104,93 +132,61 @@ class HybridTracker(Stateful):
     def on_map_moved(self, correction: PoseCorrection, index: int) -> None:
         """Follow the map, which a closed loop has moved; ``index``: of the last frame."""
         self._gicp.on_map_moved(correction, index)
+        self._views.move(correction)
 
-    def _weak(self) -> bool:
-        """Whether geometry alone leaves the position uncertain."""
-        fit = self._gicp.registration
-        return fit is None or position_std(fit.information) > MAX_POSITION_STD
+    def _remembered(self, frame: Frame, result: TrackResult) -> TrackResult:
+        self._views.add_if_new(frame, result.T_wc, result.exposure)
+        return result
+
+    def _objection(self, found: Alignment) -> str:
+        """Return why the picture says nothing of the pose, one clause; empty: it does."""
+        share, cost = self._views.share_compared(found), found.system.mean_cost
+        std = position_std(found.information)
+        if share < _MIN_SHARE:
+            return f"only {share:.2f} of the picture can be compared with earlier views"
+        if cost > _MAX_COST:
+            return f"the picture differs from earlier views by {cost:.1f} noise variances a pixel"
+        if not std <= _MAX_STD:
+            return f"depth and colour leave the position free to slide by {std:.3f} m"
+        return ""
+
+    def _verdict(self, result: TrackResult, found: Alignment) -> tuple[Verdict, str]:
+        """Return the verdict on a pose by depth and colour: colour may hold what geometry lets slide."""
+        if result.verdict is Verdict.LOST:
+            return Verdict.POOR, f"by colour alone: {result.reason}"
+        if position_std(self._gicp.information) > MAX_POSITION_STD >= position_std(found.information):
+            return Verdict.CONVERGED, ""
+        return result.verdict, result.reason
+
+    def _expected(self, frame: Frame, prior: Prior) -> Float64:
+        """Return the pose [4, 4] by registration, and by the motion before where depth lets it slide."""
+        T_cw = se3.inverse(self._predicted(frame))
+        dt = max(self._gicp.seconds_since_good(frame), 1e-3)
+        deviations = 0.5 * dt**2 * np.repeat(_ACCELERATION, 3)
+        motion = np.diag(1.0 / deviations**2)
+        step = np.linalg.solve(
+            prior.information + motion, motion @ se3.se3_log(T_cw @ se3.inverse(prior.T_cw))
+        )
+        return se3.inverse(se3.se3_exp(step) @ prior.T_cw)
+
+    def _predicted(self, frame: Frame) -> Float64:
+        """Return the pose [4, 4] by the motion before alone."""
+        predicted = self._gicp.predicted
+        assert predicted is not None, "it was tracked"
+        return predicted @ self._gicp.to_colour(frame)
+
+    def _held_by_motion(self, frame: Frame, result: TrackResult, T_wc: Float64) -> TrackResult:
+        """Return ``result`` at the expected pose [4, 4] where depth lets it slide."""
+        if result.verdict is Verdict.LOST or position_std(self._gicp.information) <= MAX_POSITION_STD:
+            return result
+        self._gicp.correct(frame, T_wc)
+        return dataclasses.replace(result, T_wc=T_wc)
 
     def _prior(self, frame: Frame, result: TrackResult) -> Prior | None:
         """Return what the last registration says of the colour's pose; None where there was none."""
         fit = self._gicp.registration
         if fit is None or not np.isfinite(fit.information).all():
             return None
-        image = frame.depth if frame.sensor_depth is None else frame.sensor_depth
-        assert image is not None, "it was registered"
-        noise = max(relative_noise(image, *self._noise), _MIN_NOISE)
-        assert result.points is not None, "they were registered"
-        information = without_slip(fit.information, result.points.points, SLIP)
-        information /= (noise * _CORRELATION) ** 2
         gap = abs(frame.timestamp - depth_time(frame))
-        information = loosened(information, _VELOCITY_DEVIATION * gap)
+        information = loosened(self._gicp.information, _VELOCITY_DEVIATION * gap)
         return Prior(se3.inverse(fit.T_wc @ self._gicp.to_colour(frame)), information)
-
-
-def _with_points_kept(result: TrackResult, T_wc: Float64) -> TrackResult:
-    """Return ``result`` with its points in the camera at ``T_wc`` [4, 4], where they are in the world.
-
-    Points are registered to points: depth agrees with depth, whatever colour makes of the camera's pose. On
-    TUM fr1/xyz the trajectory's error is 0.6 cm so, and 0.9 cm with points that follow the colour's pose.
-    """
-    assert result.points is not None
-    T = se3.inverse(T_wc) @ result.T_wc
-    points = dataclasses.replace(
-        result.points,
-        points=se3.transform_points(T, result.points.points).astype(np.float32),
-        quats=se3.rotate_quats(T[:3, :3], result.points.quats).astype(np.float32),
-    )
-    return dataclasses.replace(result, points=points)
-
-
-def without_slip(information: Float64, points: Float32, slip: float) -> Float64:
-    """Return a registration's information [6, 6] without what its ellipses' extent along surfaces pretends.
-
-    Patches slide on each other with a deviation of ``slip``; thousands of them would fix even a wall.
-
-    Args:
-        points: [n, 3] the registered ones, camera frame, metres.
-        slip: metres, of a point and of its match.
-    """
-    x = points.astype(np.float64)
-    cross = se3.hat(x.sum(axis=0))
-    moments = x.T @ x
-    pretended = np.block([[len(x) * np.eye(3), -cross], [cross, np.trace(moments) * np.eye(3) - moments]]) / (
-        2.0 * slip**2
-    )
-    values, vectors = np.linalg.eigh(information - pretended)
-    return (vectors * np.maximum(values, 0.0)) @ vectors.T
-
-
-def loosened(information: Float64, deviation: float) -> Float64:
-    """Return the information [6, 6] on a pose after a random motion: metres, and twice as many radians."""
-    if deviation <= 0.0:
-        return information
-    precision = np.diag([1.0] * 3 + [0.25] * 3) / deviation**2
-    return precision - precision @ np.linalg.solve(information + precision, precision)
-
-
-def relative_noise(image: Float32, floor: float, growth: float) -> float:
-    """Return the noise of a depth image as a share of floor + growth z^2; 0 where too little is seen.
-
-    Inverse depth is affine on a plane: what is left of its second difference along a row is noise. The median
-    does not see edges. 0.00-0.06 for rendered depth, 0.5-0.8 for a Kinect's (floor 1 mm, growth 2 mm/m).
-
-    Args:
-        image: [h, w] metres, 0 = no reading.
-        floor, growth: metres and 1/metre.
-    """
-    z = image[::_ROWS].astype(np.float64)
-    inverse = np.divide(1.0, z, out=np.full(z.shape, np.nan), where=z > 0.0)
-    left, middle, right = (
-        inverse[:, : -2 * _BASELINE],
-        inverse[:, _BASELINE:-_BASELINE],
-        inverse[:, 2 * _BASELINE :],
-    )
-    bend = np.abs(left - 2.0 * middle + right)
-    seen = np.isfinite(bend)
-    if np.count_nonzero(seen) < 100:
-        return 0.0
-    depth = 1.0 / middle[seen]
-    # A second difference has six times the variance of a reading; the median of |x| is 0.6745 deviations.
-    deviation = bend[seen] * depth**2 / np.sqrt(6.0) / 0.6745
-    return float(np.median(deviation / (floor + growth * depth**2)))

@@ -66,16 +66,3 @@ class MotionModel:
 def depth_time(frame: Frame) -> float:
     """Return when the frame's depth was taken, seconds."""
     return frame.timestamp if frame.depth_timestamp is None else frame.depth_timestamp
-
-
-def position_std(information: Float64) -> float:
-    """Return the largest standard deviation of the position, metres; inf where it is not determined.
-
-    Args:
-        information: [6, 6] inverse covariance of (translation, rotation).
-    """
-    values, vectors = np.linalg.eigh(information)
-    if not np.isfinite(values).all() or values[0] <= 1e-12 * max(values[-1], 1e-300):
-        return float("inf")
-    covariance = (vectors / values) @ vectors.T
-    return float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1]))

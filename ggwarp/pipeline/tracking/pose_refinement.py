@@ -9,11 +9,12 @@ from typing import Any, Literal
 import numpy as np
 
 from ggwarp.geometry import se3
+from ggwarp.geometry.uncertainty import position_std
 from ggwarp.map.renderer import Renderer
-from ggwarp.pipeline.tracking.motion_model import position_std
 from ggwarp.pipeline.tracking.pose_descent import Descent
 from ggwarp.runtime.state import Stateful
-from ggwarp.solvers.alignment import INDEPENDENCE, Aligner, Prior, System
+from ggwarp.solvers.alignment import Aligner
+from ggwarp.solvers.pose_equations import INDEPENDENCE, Prior, System
 from ggwarp.types import Exposure, Float64, Frame
 
 _TOLERANCE = 1e-4
@@ -31,7 +32,7 @@ _MAX_POSITION_STD = 0.02
 
 @dataclass(frozen=True)
 class RefinementConfig:
-    """How a pose is refined by colour (--tracker photometric and hybrid)."""
+    """How a pose is refined by colour (--tracker photometric)."""
 
     method: Literal["alignment", "descent"] = "alignment"
     """How a pose is found by rendering. alignment is Gauss-Newton on the picture against a render, which is

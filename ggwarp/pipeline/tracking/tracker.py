@@ -92,10 +92,10 @@ else:
 class TrackingConfig:
     """The tracker, and the options of all of them."""
 
-    tracker: TrackerChoice = "gicp"
+    tracker: TrackerChoice = "hybrid"
     """How poses are found. gicp registers depth to the map's points; photometric looks for the pose at which
-    the map looks like the picture; hybrid asks colour where geometry leaves the pose uncertain; ground-truth
-    takes the data set's own."""
+    the map looks like the picture; hybrid does the former, and aligns the picture to those taken on the way
+    where that leaves the pose uncertain; ground-truth takes the data set's own."""
     loops: bool = True
     """Close loops: where a place is seen again, poses and the map are pulled together. It needs depth and a
     tracker that registers it, gicp or hybrid."""
@@ -121,7 +121,7 @@ def _photometric(context: TrackerContext) -> Tracker:
 
 def _hybrid(context: TrackerContext) -> Tracker:
     c = context.config
-    return HybridTracker(c.gicp, c.refinement, context.sensor_camera, context.renderer, device=context.device)
+    return HybridTracker(c.gicp, context.camera, context.sensor_camera, device=context.device)
 
 
 def _ground_truth(context: TrackerContext) -> Tracker:

@@ -68,7 +68,12 @@ def residuals(
 
 
 def system(
-    rendered: np.ndarray, observed: np.ndarray, motion: np.ndarray, device: str, depth_noise: float = 0.0
+    rendered: np.ndarray,
+    observed: np.ndarray,
+    motion: np.ndarray,
+    device: str,
+    depth_noise: float = 0.0,
+    agreement: float = 0.0,
 ) -> np.ndarray:
     arrays = [wp.array(x, dtype=wp.vec4, device=device) for x in (rendered, observed)]
     sums = wp.empty(
@@ -81,6 +86,7 @@ def system(
         motion=wp.mat44(*motion.astype(np.float32).ravel().tolist()),
         exposure=EXPOSURE,
         noise=(NOISE, ROBUST, EDGE, depth_noise),
+        agreement=agreement,
         sums=sums,
         system=out,
         device=device,
@@ -123,6 +129,20 @@ def test_normal_equations_are_those_of_the_residuals(device: str, rng: np.random
     np.testing.assert_allclose(out[44], (e2 * share).sum(), rtol=1e-4)
     np.testing.assert_allclose(out[:36], H[np.triu_indices(8)], rtol=2e-3, atol=2e-4 * np.abs(H).max())
     np.testing.assert_allclose(out[36:44], g, rtol=2e-3, atol=2e-4 * np.abs(g).max())
+
+
+def test_colour_of_another_surface_is_left_out(device: str, rng: np.random.Generator) -> None:
+    rendered, observed = views(rng)
+    observed[..., 3] = rendered[5, 0, 3] + 0.004 * np.arange(CAMERA.width)
+    observed[:, 50:, 3] += 0.7
+    everywhere = system(rendered, observed, np.eye(4), device)
+    np.testing.assert_array_equal(system(rendered, observed, np.eye(4), device, agreement=0.1), everywhere)
+    observed[:, 10:14, 3] = 0.0
+    observed[:, 30:36, 3] = 1.0
+    some = system(rendered, observed, np.eye(4), device, agreement=0.1)
+    pixels = compared(rendered)
+    hidden = ((pixels[:, 1] >= 10) & (pixels[:, 1] < 14)) | ((pixels[:, 1] >= 30) & (pixels[:, 1] < 36))
+    assert some[45] == everywhere[45] - hidden.sum() < everywhere[45]
 
 
 def test_depth_adds_point_to_plane_residuals(device: str, rng: np.random.Generator) -> None:

@@ -74,15 +74,29 @@ def test_scales_are_divided_by_their_median(device):
     np.testing.assert_allclose(out.numpy(), expected, rtol=1e-5)
 
 
-def test_a_point_is_free_along_its_surface_and_as_sure_as_its_depth_across(device):
-    points = wp.array(np.float32([[0, 0, 1], [1, 2, 3]]), dtype=wp.vec3, device=device)
-    spreads = wp.array(np.float32([[0.1, 0.1, 0.0], [0.1, 0.1, 0.04]]), dtype=wp.vec3, device=device)
-    scales = wp.zeros(2, dtype=wp.vec3, device=device)
+@pytest.mark.parametrize("noise_share", [0.0, 0.5])
+def test_a_point_is_as_free_along_its_surface_as_its_normal_is_sure(device, noise_share):
+    points = wp.array(np.float32([[0, 0, 1], [1, 2, 3], [0, 0, 1]]), dtype=wp.vec3, device=device)
+    spreads = np.float32([[0.03, 0.02, 0.0], [0.03, 0.02, 0.04], [0.0, 0.0, 0.0]])
+    scales = wp.zeros(3, dtype=wp.vec3, device=device)
     plane_scales(
-        points, spreads, noise_floor=0.001, noise_growth=0.002, slip=0.5, scales=scales, device=device
+        points,
+        wp.array(spreads, dtype=wp.vec3, device=device),
+        noise_floor=0.001,
+        noise_growth=0.002,
+        noise_share=noise_share,
+        neighbours=9,
+        slip=0.5,
+        scales=scales,
+        device=device,
     )
-    across = [0.003, np.hypot(0.019, 0.04)]
-    np.testing.assert_allclose(scales.numpy(), [[0.5, 0.5, across[0]], [0.5, 0.5, across[1]]], rtol=1e-5)
+    noise = np.array([0.003, 0.019, 0.003])
+    across = np.hypot(noise, spreads[:, 2])
+    tilt = noise_share * noise[:, None] / np.sqrt(9.0) / np.maximum(spreads[:, :2], 1e-12)
+    along = np.clip(across[:, None] / np.maximum(tilt, 1e-12), across[:, None], 0.5)
+    if noise_share == 0.0:
+        along[2] = across[2]  # a single point has no surface
+    np.testing.assert_allclose(scales.numpy(), np.column_stack([along, across]), rtol=1e-5)
 
 
 @pytest.mark.parametrize("order", [None, [2, 0, 1]])

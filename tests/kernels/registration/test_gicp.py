@@ -7,7 +7,7 @@ import warp as wp
 
 from ggwarp.geometry import se3
 from ggwarp.kernels.registration import gicp, gicp_loop
-from ggwarp.kernels.registration.gicp import SUMS, block_count, linearise, match_points
+from ggwarp.kernels.registration.gicp import SUMS, block_count, fix_across, linearise, match_points
 from ggwarp.kernels.registration.gicp_loop import CONVERGED, ITERATIONS, LoopArrays, run_stage, update_pose
 from ggwarp.kernels.registration.hash_grid import allocate_hash_grid, build_hash_grid
 from ggwarp.ops.reference.registration import gicp_cost, gicp_system
@@ -93,6 +93,21 @@ class Case:
             device=self.device,
         )
         return self.system.numpy()
+
+    def across(self, radius=0.2, robust_scale=1e6):
+        self.set_stage(radius, robust_scale)
+        fix_across(
+            self.arrays.problem,
+            self.arrays.stages,
+            stage=1,
+            count=len(self.points),
+            pose=self.pose,
+            sums=self.arrays.sums,
+            folded=self.arrays.folded,
+            system=self.system,
+            device=self.device,
+        )
+        return unpack(self.system.numpy())[0]
 
     def update(self, damping=0.0):
         update_pose(self.arrays, stage=1, damping=damping, device=self.device)

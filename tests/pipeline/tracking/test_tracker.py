@@ -120,7 +120,7 @@ def test_points_are_needed_where_keyframes_go_by_overlap(device: str, registered
 @pytest.mark.parametrize("name", ["gicp", "photometric", "hybrid", "ground-truth"])
 def test_every_named_tracker_says_whether_it_looks_at_the_gaussians(name: str) -> None:
     slam = Slam(SlamConfig(tracker=name), OFFICE.camera, OFFICE.camera)
-    assert slam.sequential_only == (name in ("photometric", "hybrid"))
+    assert slam.sequential_only == (name == "photometric")
 
 
 def test_what_is_no_tracker_is_refused() -> None:

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From depth to points: how noisy a frame is, by its normals, and what that leaves of them."""
+
+import numpy as np
+import pytest
+
+from ggwarp.geometry.camera import Camera
+from ggwarp.pipeline.tracking.preprocess import ObservationConfig, observe
+
+CAMERA = Camera(320, 240, 280.0, 280.0, 159.5, 119.5)
+CONFIG = ObservationConfig()
+
+
+def planes(noise: float, rng: np.random.Generator) -> np.ndarray:
+    """Two slanted planes with an edge between them, [h, w] metres; ``noise`` is a share of the model's."""
+    v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
+    depth = 1.0 / (0.4 + 0.0003 * u + 0.0002 * v)
+    depth[:, 170:] += 0.5
+    depth += noise * (0.001 + 0.002 * depth**2) * rng.normal(size=depth.shape)
+    return depth.astype(np.float32)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.3, 1.0])
+def test_noise_is_measured_in_the_frame(noise: float, device: str, rng: np.random.Generator) -> None:
+    seen = observe(planes(noise, rng), CAMERA, CONFIG, device=device)
+    assert seen.noise_share == pytest.approx(noise, rel=0.2, abs=0.02)
+
+
+@pytest.mark.parametrize("depth", [np.zeros((240, 320)), np.eye(240, 320)], ids=["nothing", "a line"])
+def test_where_little_is_seen_there_is_no_noise(depth: np.ndarray, device: str) -> None:
+    assert observe(depth.astype(np.float32), CAMERA, CONFIG, device=device).noise_share == 0.0
+
+
+def test_noisy_points_are_held_along_their_surface(device: str, rng: np.random.Generator) -> None:
+    clean, noisy = (observe(planes(n, rng), CAMERA, CONFIG, device=device) for n in (0.0, 1.0))
+    along = [np.median(seen.spreads.numpy()[:, 0]) for seen in (clean, noisy)]
+    extent = np.median(noisy.scales.numpy()[:, 0])
+    assert along[0] == 1.0, "free"
+    # A plane through ten readings is known to a tilt of noise / (sqrt(10) extent).
+    assert 2.0 * extent < along[1] < 6.0 * extent
+    assert (noisy.spreads.numpy()[:, :2] >= noisy.spreads.numpy()[:, 2:]).all(), "no needles"
