@@ -105,7 +105,7 @@ class Session:
         dataset = open_dataset(
             seq,
             data_root=asked.data_root(),
-            masks=asked.mask_folder,
+            masks=asked.mask_choice,
             faults=asked.built_in,
             intrinsics=asked.intrinsics,
         )

@@ -15,7 +15,7 @@ from typing import Any
 from ggwarp.config.run_config import RunConfig
 
 GROUPS: dict[str, tuple[str, ...]] = {
-    "The recording": ("seq", "data", "frames", "masks", "masks-kind", "mono", "intrinsics"),
+    "The recording": ("seq", "data", "frames", "masks", "masks-kind", "masks-void", "mono", "intrinsics"),
     "The method": ("config", "preset", "tracker", "loops", "policy", "use-identity", "refine"),
     "The machine and the pace": ("device", "scale", "fps", "pipelined", "memory"),
     "The results": ("out", "save-renders", "checkpoint-every", "resume"),

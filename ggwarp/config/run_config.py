@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from ggwarp.datasets.base import MaskChoice
 from ggwarp.datasets.built_in.faults import SensorFaults
 from ggwarp.io.printable import shown
 from ggwarp.pipeline.slam_config import SlamConfig
@@ -43,6 +44,9 @@ class RunConfig:
     masks: str | None = None
     """A folder of object masks, one a frame, or none for no masks. Default: those beside the images, if any.
     The word untracked means those, with --masks-kind untracked."""
+
+    masks_void: tuple[int, ...] = ()
+    """Ids of masks' pixels that say nothing, neither an object nor none, such as 255 along borders."""
 
     intrinsics: tuple[float, float, float, float] | None = None
     """The camera of your own recording: fx fy cx cy in pixels of its native size. Default: its camera file's.
@@ -84,9 +88,9 @@ class RunConfig:
     """What is wrong with the camera of a built-in scene; by default nothing is."""
 
     @property
-    def mask_folder(self) -> str | None:
+    def mask_choice(self) -> MaskChoice:
         """What :func:`ggwarp.datasets.open_dataset` takes as ``masks``."""
-        return None if self.masks == "untracked" else self.masks
+        return MaskChoice(None if self.masks == "untracked" else self.masks, self.masks_void)
 
     def data_root(self) -> Path:
         """Return the folder that sequences are looked up in."""

@@ -15,6 +15,7 @@ from ggwarp.datasets.base import (
     DatasetError,
     FrameError,
     Kind,
+    MaskChoice,
     Masks,
     WithoutDepth,
     WithoutMasks,
@@ -216,14 +217,15 @@ def _video(path: Path, intrinsics: Intrinsics | None) -> Dataset:
 
 def _built_in(seq: str, masks: Masks, faults: SensorFaults | None) -> Dataset:
     scene = _built_in_scene(seq, faults)
-    if masks is None:
+    choice = MaskChoice.of(masks)
+    if choice.where is None:
         return scene
-    if str(masks) == "none":
+    if str(choice.where) == "none":
         return WithoutMasks(scene)
     from ggwarp.datasets.masks import WithMasks, open_masks
 
     size = (scene.camera.width, scene.camera.height)
-    return WithMasks(scene, open_masks(Path(masks), scene.stems, size=size))
+    return WithMasks(scene, open_masks(Path(choice.where), scene.stems, size=size, void=choice.void))
 
 
 def _built_in_scene(seq: str, faults: SensorFaults | None) -> SyntheticScene:

@@ -127,8 +127,26 @@ def at_scale(dataset: Dataset, scale: float) -> Dataset:
     return dataset.scaled(scale) if isinstance(dataset, Scalable) else dataset
 
 
-Masks = str | Path | None
-"""Where the object masks are: a folder; None: beside the images, if there; "none": not used."""
+@dataclass(frozen=True)
+class MaskChoice:
+    """Where the object masks are, and which of their ids say nothing.
+
+    Attributes:
+        where: a folder; None: beside the images, if there; "none": not used.
+        void: ids of pixels that are neither an object nor none.
+    """
+
+    where: str | Path | None = None
+    void: tuple[int, ...] = ()
+
+    @classmethod
+    def of(cls, masks: Masks) -> MaskChoice:
+        """Return ``masks`` as a choice."""
+        return masks if isinstance(masks, MaskChoice) else cls(masks)
+
+
+Masks = str | Path | None | MaskChoice
+"""Where the object masks are: a folder; None: beside the images, if there; "none": not used; or a choice."""
 
 
 @dataclass(frozen=True)

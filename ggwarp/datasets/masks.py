@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ggwarp.datasets.base import Dataset, DatasetError, FrameError, Masks, at_scale
+from ggwarp.datasets.base import Dataset, DatasetError, FrameError, MaskChoice, Masks, at_scale
 from ggwarp.datasets.formats.mask_checks import interpolated, too_many_ids, without_edges
 from ggwarp.datasets.formats.mask_file import Ids, read_mask_file
 from ggwarp.datasets.pairing import in_order, pair_files
@@ -33,6 +33,7 @@ class MaskFolder:
 
     Attributes:
         folder: where they are.
+        void: ids of pixels that say nothing.
         clean_edges: whether ids that lie only along edges are left out: the masks were interpolated.
     """
 
@@ -54,7 +55,7 @@ class MaskFolder:
             DatasetError: they are of another shape than the frames, or no masks at all.
         """
         self.folder = folder
-        self._void = np.array(sorted(void), np.int32)
+        self.void = tuple(sorted(set(void)))
         self._found, self._by, self._notes = _matched(folder, stems)
         self._warned: set[str] = set()
         self._forms: set[str] = set()
@@ -99,7 +100,7 @@ class MaskFolder:
     def _cleaned(self, ids: Ids) -> Ids:
         if self.clean_edges:
             ids = without_edges(ids, VOID)
-        return np.where(np.isin(ids, self._void), VOID, ids) if len(self._void) else ids
+        return np.where(np.isin(ids, self.void), VOID, ids).astype(np.int32) if self.void else ids
 
     def _look(self) -> None:
         """Look at a few masks, spread over the sequence, and at what they have in common.
@@ -203,7 +204,6 @@ def find_masks(
     masks: Masks = None,
     *,
     size: tuple[int, int] | None = None,
-    void: Sequence[int] = (),
 ) -> MaskFolder | None:
     """Find the masks of a sequence.
 
@@ -212,13 +212,15 @@ def find_masks(
         stems: stem of each frame's colour image.
         masks: a folder that holds masks named or numbered as the images, or a folder that does; None: look in
             ``sequence``; "none": do without.
-        size, void: see :class:`MaskFolder`.
+        size: see :class:`MaskFolder`.
 
     Raises:
         DatasetError: a folder was named, but has no mask of any frame; or what is there are no masks.
     """
-    if masks is not None:
-        return None if str(masks) == "none" else open_masks(Path(masks), stems, size=size, void=void)
+    choice = MaskChoice.of(masks)
+    where, void = choice.where, choice.void
+    if where is not None:
+        return None if str(where) == "none" else open_masks(Path(where), stems, size=size, void=void)
     folders = [sequence / name for name in MASK_FOLDERS]
     found = _first_with_masks(folders, stems, size, void)
     if found is None:
@@ -281,7 +283,7 @@ def _has_masks(folder: Path, stems: Sequence[str]) -> bool:
 
 
 def find_true_masks(
-    sequence: Path, stems: Sequence[str], given: MaskFolder | None, size: tuple[int, int] | None = None
+    sequence: Path, stems: Sequence[str], given: MaskFolder | None, *, size: tuple[int, int] | None = None
 ) -> MaskFolder | None:
     """Find the masks beside the images where ``given`` are others: what those are measured against.
 
@@ -292,4 +294,4 @@ def find_true_masks(
     own = next((f for f in (sequence / name for name in MASK_FOLDERS) if _has_masks(f, stems)), None)
     if given is None or own is None or own.resolve() == given.folder.resolve():
         return None
-    return MaskFolder(own, stems, size=size)
+    return MaskFolder(own, stems, size=size, void=given.void)

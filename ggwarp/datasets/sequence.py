@@ -124,7 +124,7 @@ class FileSequence:
         """Each frame's name, as its mask has it."""
         size = (self.camera.width, self.camera.height)
         self._masks = find_masks(root, self.stems, masks, size=size)
-        self._true_masks = find_true_masks(root, self.stems, self._masks, size)
+        self._true_masks = find_true_masks(root, self.stems, self._masks, size=size)
         self.masks_text = self._masks.text if self._masks else ""
         self.frames_with_depth = [i for i, entry in enumerate(entries) if entry.depth]
         self.has_depth = bool(self.frames_with_depth)

@@ -81,8 +81,8 @@ def doubt_of_truth(estimated: Float64, true: Float64) -> str:
 def _hypotheses() -> Iterator[tuple[str, Callable[[Float64], Float64], int]]:
     """Yield what is said of each, how it changes the true poses, and by how many frames they are late."""
     yield "if their cameras have OpenGL's axes (y up, z back): turn them by 180 degrees about x", _opengl, 0
-    yield "if they are world-to-camera: invert them", np.linalg.inv, 0
-    yield "if they are world-to-camera with OpenGL's axes", lambda true: np.linalg.inv(_OPENGL @ true), 0
+    yield "if they are world-to-camera: invert them", _inverse, 0
+    yield "if they are world-to-camera with OpenGL's axes", lambda true: _inverse(_OPENGL @ true), 0
     yield "if their quaternions are written w first", _w_first, 0
     yield "if their rotations are transposed", _transposed, 0
     for shift in (-3, -2, -1, 1, 2, 3):
@@ -124,6 +124,10 @@ def _agreement(estimated: Float64, true: Float64) -> Agreement:
 
 def _opengl(true: Float64) -> Float64:
     return true @ _OPENGL
+
+
+def _inverse(true: Float64) -> Float64:
+    return np.asarray(np.linalg.inv(true), np.float64)
 
 
 def _transposed(true: Float64) -> Float64:

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ggwarp import config as c
-from ggwarp.datasets.base import WithoutDepth, WithoutMasks
+from ggwarp.datasets.base import MaskChoice, WithoutDepth, WithoutMasks
 from ggwarp.datasets.built_in.synthetic import SyntheticOffice
 from ggwarp.geometry.camera import Camera
 from ggwarp.io.toml import write_toml
@@ -66,7 +66,9 @@ def test_untracked_masks_are_the_sequence_s_own_or_a_folder_s():
     office = SyntheticOffice(scale=0.1)
     own = c.RunConfig(masks="untracked")
     folder = c.RunConfig(masks="dir", slam=SlamConfig(masks_kind="untracked"))
-    assert own.mask_folder is None and folder.mask_folder == "dir"
+    assert own.mask_choice == MaskChoice() and folder.mask_choice == MaskChoice("dir")
+    with_void = c.RunConfig(masks="dir", masks_void=(255, 0))
+    assert with_void.mask_choice == MaskChoice("dir", (255, 0))
     for config, kind in ((own, "untracked"), (folder, "untracked"), (c.RunConfig(masks="dir"), "tracked")):
         assert c.resolve_config(config, office).slam.masks_kind == kind
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from ggwarp.datasets import DatasetError, FrameError, open_dataset
+from ggwarp.datasets.base import MaskChoice
 from ggwarp.datasets.formats.mask_file import read_mask, write_mask
 from ggwarp.datasets.masks import find_masks
 from ggwarp.datasets.readers.replica import open_sequence
@@ -193,7 +194,7 @@ def test_grey_saved_as_three_channels_is_the_grey(tmp_path: Path, sample: Simple
 
 def test_void_ids_say_nothing(tmp_path: Path) -> None:
     write_mask(tmp_path / "0.png", np.array([[0, 7, 255], [255, 7, 9]], np.int32))
-    masks = find_masks(tmp_path, ["0"], tmp_path, void=(255, 9))
+    masks = find_masks(tmp_path, ["0"], MaskChoice(tmp_path, (255, 9)))
     assert masks is not None
     np.testing.assert_array_equal(masks.read(0), [[0, 7, -1], [-1, 7, -1]])
 

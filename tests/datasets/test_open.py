@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ggwarp.datasets import KINDS, Dataset, DatasetError, Kind, open_dataset, register
-from ggwarp.datasets.base import at_scale
+from ggwarp.datasets.base import MaskChoice, at_scale
 from ggwarp.datasets.built_in.faults import SensorFaults
 from ggwarp.datasets.formats.mask_file import write_mask
 from ggwarp.datasets.readers.tum import full_name
@@ -113,6 +113,15 @@ def test_an_unknown_name_says_where_it_was_sought(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="room77: no such sequence") as error:
         open_dataset("room77", data_root=tmp_path)
     assert str(tmp_path / "Replica" / "room77") in str(error.value) and "--data" in str(error.value)
+
+
+def test_void_ids_of_the_built_in_offices_masks(tmp_path: Path) -> None:
+    ids = np.full((680, 1200), 7, np.int32)
+    ids[:, 600:] = 255
+    write_mask(tmp_path / "frame000000.png", ids)
+    choice = MaskChoice(tmp_path, (255,))
+    frame = at_scale(open_dataset("office", data_root=tmp_path, masks=choice), 0.05)[0]
+    assert frame.mask is not None and (frame.mask[:, :30] == 7).all() and (frame.mask[:, 30:] == -1).all()
 
 
 def test_a_mistyped_name_is_told_the_nearest(make_replica: Maker, tmp_path: Path) -> None:

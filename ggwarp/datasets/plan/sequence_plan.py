@@ -174,6 +174,6 @@ def _mask_text(dataset: Dataset, frames: Sequence[Frame]) -> str:
     if not dataset.has_masks:
         return "none"
     where = _attribute(dataset, "masks_text") or ""
-    ids = {int(i) for frame in frames if frame.mask is not None for i in np.unique(frame.mask)} - {0}
+    ids = {int(i) for frame in frames if frame.mask is not None for i in np.unique(frame.mask) if i > 0}
     counted = f"{len(ids)} ids in the frames looked at" if frames else ""
     return "; ".join(part for part in (where, counted) if part)
