@@ -100,7 +100,9 @@ class Calibration:
 
     @property
     def _said_by(self) -> str:
-        return f"from {self.scale_origin}" if self.scale_origin else "assumed, as no file says"
+        if self.scale_origin:
+            return f"from {self.scale_origin}"
+        return "assumed, as no file says (scale in camera.json does)"
 
 
 def given_camera(path: Path, size: tuple[int, int], intrinsics: Intrinsics | None) -> Camera:

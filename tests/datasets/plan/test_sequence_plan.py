@@ -49,7 +49,9 @@ def test_a_replica_scene_and_a_tum_recording(make_replica: Maker, make_tum: Make
     assert replica.layout == "Replica's layout, results/, 4 frames" and not replica.unread
     assert replica.pairing == "4 pairs by number" and replica.camera.endswith("from cam_params.json")
     assert tum.pairing == "2 pairs by time, at most 10.0 ms apart" and not tum.unread
-    assert tum.depth.startswith("5000 units a metre, assumed, as no file says; median 0.2")
+    assert tum.depth.startswith(
+        "5000 units a metre, assumed, as no file says (scale in camera.json does); median 0.2"
+    )
     assert tum.truth == "groundtruth.txt, poses of 2 of 2 frames"
 
 
