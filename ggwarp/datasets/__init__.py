@@ -48,7 +48,7 @@ APARTMENTS = ("apartment", "apartment-person", "apartment-kinect", "apartment-ki
 BUILT_IN = ("office", "synthetic", "wall", *APARTMENTS)
 """Names that always mean a built-in scene: the wall, the apartment, or the office."""
 OWN_KINDS = (
-    "readers.bag",
+    "bags.reader",
     "readers.stray",
     "readers.record3d",
     "readers.polycam",
@@ -60,6 +60,7 @@ OWN_KINDS = (
     "readers.seven_scenes",
     "readers.nerfstudio",
     "readers.colmap",
+    "readers.icl_nuim",
     "readers.replica",
     "readers.tum",
     "folder",

@@ -177,6 +177,40 @@ def colmap(path: Path, *, binary: bool) -> None:
         write(path / "sparse/images.txt", "# images\n" + "\n".join(lines) + "\n")
 
 
+def icl_nuim(path: Path) -> None:
+    """Write what ICL-NUIM publishes, whose camera and world have y up: both are the mirrored ones."""
+    camera = Camera(640, 480, 481.2, 480.0, 319.5, 239.5)
+    mirror, rows = np.diag([1.0, -1.0, 1.0, 1.0]), []
+    for i in range(FRAMES):
+        rgb, depth = look(camera, pose(i))
+        write(path / f"rgb/{i}.png", png(rgb))
+        write(path / f"depth/{i}.png", png(np.rint(depth * 5000).astype(np.uint16)))
+        T = mirror @ pose(i) @ mirror
+        rows.append(" ".join(map(str, [i, *T[:3, 3], *quaternion(T)])))
+    write(path / "livingRoom0.gt.freiburg", "\n".join(rows))
+
+
+def bonn(path: Path) -> None:
+    """Write a sequence of Bonn's dynamic scenes, whose truth is of a frame of markers."""
+    axes = np.array([[-1.0, 0, 0, 0], [0, 0, 1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+    markers = np.array([[1.0157, 0.1828, -0.2389, 0.0113], [0.0009, -0.8431, -0.6413, -0.0098]])
+    markers = np.vstack([markers, [-0.3009, 0.6147, -0.8085, 0.0111], [0, 0, 0, 1.0]])
+    U, _, Vt = np.linalg.svd(markers[:3, :3])
+    markers[:3, :3] = U @ Vt
+    camera = Camera(640, 480, 542.822841, 542.576870, 315.593520, 237.756098)
+    lists: dict[str, list[str]] = {"rgb": [], "depth": [], "groundtruth": []}
+    for i in range(FRAMES):
+        rgb, depth = look(camera, pose(i))
+        write(path / f"rgb/{i}.png", png(rgb))
+        write(path / f"depth/{i}.png", png(np.rint(depth * 5000).astype(np.uint16)))
+        T = axes @ pose(i) @ np.linalg.inv(axes @ markers)
+        for name in ("rgb", "depth"):
+            lists[name].append(f"{1e9 + i / 30:.6f} {name}/{i}.png")
+        lists["groundtruth"].append(" ".join(map(str, [1e9 + i / 30, *T[:3, 3], *quaternion(T)])))
+    for name, lines in lists.items():
+        write(path / f"{name}.txt", "\n".join(lines))
+
+
 LAYOUTS: dict[str, Callable[[Path], object]] = {
     "stray": stray,
     "record3d": record3d_export,
@@ -190,6 +224,7 @@ LAYOUTS: dict[str, Callable[[Path], object]] = {
     "7-scenes": bundle_fusion,
     "nerfstudio": nerfstudio,
     "nerfstudio-capture": lambda path: nerfstudio(path, capture=True),
+    "icl-nuim": icl_nuim,
     "colmap-text": lambda path: colmap(path, binary=False),
     "colmap-binary": lambda path: colmap(path, binary=True),
 }

@@ -52,7 +52,7 @@ def test_a_depth_camera_of_which_nothing_says_where_it_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = ros1(tmp_path / "walk.bag", registered=False, compressed=False)
-    monkeypatch.setattr("ggwarp.datasets.readers.bag.static_transforms", lambda bag: {})
+    monkeypatch.setattr("ggwarp.datasets.bags.reader.static_transforms", lambda bag: {})
     assert any("taken to be the same place" in note for note in source_of(opened(path)).notes)
 
 

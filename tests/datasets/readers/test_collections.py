@@ -7,7 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from distributed_data_sets import LAYOUTS, bundle_fusion, colmap, nerfstudio, scannet, scannetpp, sens, table
+from distributed_data_sets import (
+    LAYOUTS,
+    bonn,
+    bundle_fusion,
+    colmap,
+    nerfstudio,
+    scannet,
+    scannetpp,
+    sens,
+    table,
+)
 from ggwarp.datasets import DatasetError, FrameError, open_dataset
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
@@ -22,6 +32,13 @@ def test_a_layout_is_opened_and_its_truth_agrees(tmp_path: Path, name: str) -> N
     assert name.startswith(dataset.kind)
     assert len(dataset) == FRAMES and dataset.has_depth
     check_truth(dataset, colour=25.0 if "scannetpp" in name else 12.0)
+
+
+def test_bonn_whose_truth_is_of_markers(tmp_path: Path) -> None:
+    bonn(tmp_path / "rgbd_bonn_static")
+    dataset = opened(tmp_path / "rgbd_bonn_static")
+    assert dataset.camera.fx == 542.822841
+    check_truth(dataset)
 
 
 def test_sens(tmp_path: Path) -> None:
