@@ -38,9 +38,12 @@ depth and colour not taken at once."""
 _TRACKING_SLACK = 0.01
 """Tracking is not believed beyond this share of a motion: bias that its covariance does not know of."""
 
-_LONGEST, _LONGEST_POOR = 10, 2
-"""A place begins after so many frames at most, and where poses are poor: tracking that slides does not know
-how far the camera has gone, but features do."""
+_LONGEST = 10
+"""A place begins after so many frames at most, and with every frame whose pose is poor: tracking that slides
+does not know how far the camera has gone, but features of neighbours do, as long as they see the same."""
+
+_SEARCH = 3
+"""Earlier places are looked for in so many frames at most, where poses are poor."""
 
 _POOR = 10.0
 """How much larger a tracked motion's deviation is than stated where a frame on the way was poor or lost."""
@@ -80,7 +83,7 @@ class LoopCloser(Stateful):
         seconds: spent so far.
     """
 
-    STATE = ("_looks", "_places", "_motions", "_waiting", "_doubtful", "seconds")
+    STATE = ("_looks", "_places", "_motions", "_waiting", "_searched", "_doubtful", "seconds")
 
     def __init__(
         self, camera: Camera, sensor_camera: Camera, depth_noise: DepthNoise, *, least_move: float
@@ -100,6 +103,7 @@ class LoopCloser(Stateful):
         self._places: list[Place] = []
         self._motions: list[MeasuredMotion] = []
         self._waiting: list[MeasuredMotion] = []
+        self._searched = 0
         self._doubtful = False
         self.seconds = 0.0
 
@@ -123,8 +127,7 @@ class LoopCloser(Stateful):
             return False
         if not self._places or far_enough(self._places[-1], result.T_wc):
             return True
-        longest = _LONGEST_POOR if result.verdict is Verdict.POOR else _LONGEST
-        return frame.index - self._places[-1].index >= longest
+        return result.verdict is Verdict.POOR or frame.index - self._places[-1].index >= _LONGEST
 
     def _add(self, frame: Frame, result: TrackResult) -> None:
         assert result.points is not None
@@ -140,6 +143,10 @@ class LoopCloser(Stateful):
             motion = self._measure(a, number, _NEIGHBOUR_INLIERS)
             if motion is not None:
                 self._motions.append(motion)
+        searched = self._places[self._searched]
+        if number and frame.index - searched.index < _SEARCH and not far_enough(searched, result.T_wc):
+            return
+        self._searched = number
         for a in candidates(self._places, self._looks):
             motion = self._measure(a, number, _INLIERS)
             if motion is None or not self._looks_true(motion):
