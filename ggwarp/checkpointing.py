@@ -16,10 +16,11 @@ from ggwarp.datasets import DatasetError, FrameReader
 from ggwarp.io.toml import toml_text
 from ggwarp.pipeline.runner import Snapshot
 from ggwarp.pipeline.slam import Slam
+from ggwarp.pipeline.tracked_frame import TrackedFrame
 from ggwarp.results.checkpoints import save_checkpoint
 from ggwarp.results.record import RunRecord
 from ggwarp.results.staging import StagedFolder
-from ggwarp.runtime.state import StateError, pack, restored
+from ggwarp.runtime.state import StateError, pack, restored, unpack
 
 _MOST_TIME = 0.02
 """Share of a run's time that checkpoints by the clock may take: after a slow one, the next comes later."""
@@ -33,6 +34,7 @@ class Checkpoints:
     def __init__(
         self,
         interval: CheckpointInterval,
+        slam: Slam,
         config: RunConfig,
         folder: StagedFolder,
         reader: FrameReader,
@@ -46,7 +48,8 @@ class Checkpoints:
             config: resolved, of the whole run.
             started: time.perf_counter() at the command's start, less what the run took before.
         """
-        self._interval, self._folder, self._record, self._display = interval, folder, record, display
+        self._interval, self._slam = interval, slam
+        self._folder, self._record, self._display = folder, record, display
         self._config = toml_text(dataclasses.replace(config, out=None))
         self._camera = dataclasses.asdict(reader.camera)
         self._started = started
@@ -59,6 +62,8 @@ class Checkpoints:
         """Return whether one is due; ask after every frame, and after every iteration of a refinement."""
         every, steps = self._interval, self._steps
         self._steps += 1
+        if not self._slam.has_state:
+            return False
         if every.frames:
             due = steps - self._last_step >= every.frames
         else:
@@ -81,6 +86,7 @@ class Checkpoints:
             | {"frames": self._progress[0], "wall_s": time.perf_counter() - self._started},
             "tracking": snapshot.tracking,
             "mapping": snapshot.mapping,
+            "pending": pack(snapshot.pending),
         }
         try:
             save_checkpoint(self._folder.path, tree)
@@ -95,11 +101,11 @@ class Checkpoints:
         self._last_time = time.perf_counter()
         self._cost_s = self._last_time - started
 
-    def finish(self, slam: Slam) -> None:
-        """Write the last one, from which a run that is done can go on; not after a failure."""
-        off = self._interval.is_off or not slam.has_state or self._record.failure is not None
+    def write_now(self) -> None:
+        """Write one of the system as it is, between two frames, unless there is one; not after a failure."""
+        off = self._interval.is_off or not self._slam.has_state or self._record.failure is not None
         if not off and self._written != self._progress:
-            self.write(Snapshot(slam.tracking_state(), slam.mapping_state()))
+            self.write(Snapshot(self._slam.tracking_state(), self._slam.mapping_state()))
 
     @property
     def _progress(self) -> tuple[int, int]:
@@ -128,15 +134,15 @@ def go_on(
     record: RunRecord,
     reader: FrameReader,
     display: Display,
-) -> RunConfig:
+) -> list[TrackedFrame]:
     """Bring ``slam`` and ``record`` to where the run was.
 
     Args:
-        config: of the rest of the run.
+        config: of the whole run.
         reader: of all frames of the run, those done before first.
 
     Returns:
-        The configuration of the whole run.
+        The frames that were tracked, but not mapped.
 
     Raises:
         ConfigError: the sequence or the frames are others, or the checkpoint does not fit.
@@ -144,8 +150,8 @@ def go_on(
     """
     for fault in resumed.faults:
         display.warn(f"{fault}; the checkpoint before it is taken")
-    _restore(resumed, slam, record, reader)
-    done = sorted([*(r.index for r in record.reports), *record.skipped])
+    pending = _restore(resumed, slam, record, reader)
+    done = sorted([*(r.index for r in record.reports), *record.skipped, *(t.frame.index for t in pending)])
     if list(reader.indices[: len(done)]) != done:
         raise ConfigError(
             f"--frames {config.frames}: the run has {len(done)} frames behind it, {done[0]} to {done[-1]}; "
@@ -154,10 +160,10 @@ def go_on(
     display.note(f"going on after {len(done)} of {len(reader)} frames, from {resumed.folder}")
     if config.device != resumed.config.device:
         display.note(f"on {config.device}, not {resumed.config.device}: results differ in their last bits")
-    return dataclasses.replace(config, refine=record.refine_iterations + config.refine)
+    return pending
 
 
-def _restore(resumed: ResumedRun, slam: Slam, record: RunRecord, reader: FrameReader) -> None:
+def _restore(resumed: ResumedRun, slam: Slam, record: RunRecord, reader: FrameReader) -> list[TrackedFrame]:
     what, tree = f"--resume {resumed.folder}", resumed.tree
     try:
         if tree["camera"] != dataclasses.asdict(reader.camera):
@@ -166,6 +172,7 @@ def _restore(resumed: ResumedRun, slam: Slam, record: RunRecord, reader: FrameRe
             setattr(record, name, restored(getattr(record, name), tree["record"][name], reader.read))
         slam.restore(tree["tracking"], tree["mapping"], reader.read)
         record.reports = list(slam.reports)
+        return unpack(tree["pending"], reader.read)
     except StateError as error:
         raise ConfigError(f"{what}: {error}; give the recording that it began with") from None
     except DatasetError:

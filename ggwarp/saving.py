@@ -39,7 +39,6 @@ class Saver:
         folder: StagedFolder,
         display: Display,
         started: float,
-        *,
         begin: Callable[[Path], None] = lambda folder: None,
         stopped: Callable[[], bool] = lambda: False,
     ) -> None:

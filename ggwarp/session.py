@@ -26,6 +26,7 @@ from ggwarp.interruption import Interruption
 from ggwarp.io.camera import write_camera
 from ggwarp.io.toml import write_toml
 from ggwarp.pipeline.runner import SideError, Snapshot, run_steps
+from ggwarp.pipeline.tracked_frame import TrackedFrame
 from ggwarp.preparation import build_system, load_kernels, works_concurrently
 from ggwarp.results.metrics import RESULTS
 from ggwarp.results.record import RunRecord
@@ -144,18 +145,19 @@ class Session:
             self._name, dataset.kind, config.device, class_names=names, monocular=config.slam.mono
         )
         self.record.plan = self._plan
+        self._pending: list[TrackedFrame] = []
         if self._resumed is not None:
-            self.config = go_on(self._resumed, config, self._slam, self.record, self._reader, self._display)
+            self._pending = go_on(self._resumed, config, self._slam, self.record, self._reader, self._display)
             self._started -= self._resumed.wall_s
         for left, kept in folder.create().items():  # nothing is refused any more
             self._display.note(messages.left_by_a_killed_run(left, kept))
         self._begin(folder.path)
         load_kernels(config.device, self._display)
+        record, display, started = self.record, self._display, self._started
         self._checkpoints = Checkpoints(
-            self._interval, self.config, folder, self._reader, self.record, self._display, self._started
+            self._interval, self._slam, config, folder, self._reader, record, display, started
         )
-        display, started, stopped = self._display, self._started, lambda: self._stopped
-        self._saver = Saver(self.record, folder, display, started, begin=self._begin, stopped=stopped)
+        self._saver = Saver(record, folder, display, started, self._begin, lambda: self._stopped)
 
     def track_and_map(self) -> None:
         """Process the frames; a failure of either side ends the loop and is kept in the record.
@@ -166,7 +168,8 @@ class Session:
         """
         reader, record = self._frames, self.record
         self._interruption.at_once = False
-        self._display.stage("frames", None if is_live(self._dataset) else len(reader))
+        frames = len(self._pending) + len(reader)
+        self._display.stage("frames", None if is_live(self._dataset) else frames)
         self._loop_started = time.perf_counter() - record.loop_s
         try:
             with self._interruption.breakable(), reader:
@@ -175,7 +178,8 @@ class Session:
                     reader,
                     concurrent=self._concurrent,
                     stopped=lambda: self._stopped,
-                    snapshot_due=self._checkpoints.due if self._slam.has_state else lambda: False,
+                    snapshot_due=self._checkpoints.due,
+                    pending=self._pending,
                 )
                 for item, step in steps:
                     if isinstance(item, Snapshot):
@@ -225,15 +229,16 @@ class Session:
                 record.refine_iterations += 1
                 record.refine_s = time.perf_counter() - started
                 self._display.advance()
-                if self._slam.has_state and self._checkpoints.due():
-                    self._checkpoints.finish(self._slam)
+                if self._checkpoints.due():
+                    self._checkpoints.write_now()
             if self._interruption.number == signal.SIGINT:
                 self._interruption.forget()
                 done = f"{record.refine_iterations} of {iterations} iterations"
                 self._display.note(f"refinement ended after {done}")
         if record.failure is not None:  # said first: what follows may fail for the same reason
             self._saver.failed(str(record.failure), record.failure.__cause__ or record.failure)
-        self._checkpoints.finish(self._slam)
+        with self._interruption.held():
+            self._checkpoints.write_now()
         record.correct(self._slam.fitted_poses())
         if not self._ended:
             self._saver.judge(self.config.slam.gicp.far if self._dataset.has_depth else None)
@@ -317,7 +322,6 @@ class Session:
             self._display.warn(f"frame {frame.index} lost: {step.reason}")
         elif step.loop_with is not None:
             self._display.note(messages.closed_loop(step))
-        # Before the status: a checkpoint has it, too.
         self.record.loop_s = time.perf_counter() - self._loop_started
         self._display.advance(messages.status(step, len(reports) / self.record.loop_s))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import dataclasses
 import io
 import re
 import textwrap
@@ -105,6 +106,8 @@ def parse(arguments: list[str]) -> Command:
         raise ConfigError("-q and -v: give one of them")
     if resumed is not None:
         check_changes(resumed.config, command.run)
+        whole = dataclasses.replace(command.run, refine=resumed.refined + command.run.refine)
+        command = dataclasses.replace(command, run=whole)
     check(command.run)
     _ = command.interval
     return command

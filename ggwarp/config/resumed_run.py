@@ -29,7 +29,7 @@ class ResumedRun:
         folder: holds its checkpoints. target: where it belongs when it is done.
         adopted: whether ``folder`` is an unfinished run's, to go on in.
         linked: whether ``runs/latest`` is to show it.
-        config: its configuration; ``refine`` is what was left of it.
+        config: its configuration; ``refine`` is what is left of it.
         tree: the checkpoint.
         faults: why newer checkpoints cannot be used, if there were any.
     """
@@ -46,6 +46,11 @@ class ResumedRun:
     def done(self) -> int:
         """Frames behind it."""
         return int(self.tree["record"]["frames"])
+
+    @property
+    def refined(self) -> int:
+        """Iterations of refinement behind it."""
+        return int(self.tree["record"]["refine_iterations"])
 
     @property
     def wall_s(self) -> float:

@@ -13,6 +13,7 @@ the mapper (``--fps uncapped``) it is what gives the mapper its time.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import queue
 import threading
 from collections.abc import Callable, Iterable, Iterator
@@ -42,10 +43,14 @@ class Snapshot:
 
     The tracker's side adds its own when one is due, and the mapper's when that frame's turn has come: neither
     waits for the other.
+
+    Attributes:
+        pending: frames between the two: tracked, but not mapped, as the run was stopped.
     """
 
     tracking: State
     mapping: State = field(default_factory=dict)
+    pending: list[TrackedFrame] = field(default_factory=list)
 
 
 class SideError(RuntimeError):
@@ -62,16 +67,19 @@ def run_steps(
     concurrent: bool = False,
     stopped: Callable[[], bool] = lambda: False,
     snapshot_due: Callable[[], bool] = lambda: False,
+    pending: Iterable[TrackedFrame] = (),
 ) -> Iterator[tuple[Any, StepReport | None]]:
     """Process the frames among ``items``; yield every item in order, each frame with its report.
 
-    Where one is due, a :class:`Snapshot` is yielded after the frame that it is of.
+    Where one is due, a :class:`Snapshot` is yielded after the frame that it is of; and where the tracker was
+    ahead when it was stopped, one in the end.
 
     Args:
         items: frames, and anything else in place of a frame that is missing.
         concurrent: track in a second thread, up to :data:`AHEAD` frames ahead of the mapper.
         stopped: asked between frames whether to end early.
         snapshot_due: asked between frames by the tracker's side.
+        pending: tracked before, to be mapped first.
 
     Raises:
         SideError: one side failed; both have ended. Every tracked frame was yielded before.
@@ -80,6 +88,7 @@ def run_steps(
     halted = threading.Event()
     source = _tracked(slam, items, lambda: halted.is_set() or stopped(), snapshot_due)
     failure: SideError | None = None
+    unmapped: Snapshot | None = None
     with contextlib.ExitStack() as stack:
         waiting = None
         if concurrent:
@@ -87,7 +96,7 @@ def run_steps(
             source = stack.enter_context(_Ahead(source, AHEAD, halted, stopped))
             waiting = source.waiting
         try:
-            for item, tracked in source:
+            for item, tracked in itertools.chain(((t.frame, t) for t in pending), source):
                 if isinstance(item, Snapshot):
                     if failure is None and slam.has_state:
                         item.mapping = slam.mapping_state()
@@ -97,6 +106,10 @@ def run_steps(
                     yield item, None
                     continue
                 if failure is not None or (concurrent and stopped()):
+                    if unmapped is None and failure is None and slam.has_state:
+                        unmapped = Snapshot({}, slam.mapping_state())
+                    if unmapped is not None:
+                        unmapped.pending.append(tracked)
                     report = slam.leave_unmapped(tracked)
                 else:
                     report, failure = _mapped(slam, tracked, waiting)
@@ -107,6 +120,9 @@ def run_steps(
             failure = failure or error
     if failure is not None:
         raise failure
+    if unmapped is not None and isinstance(source, _Ahead) and source.is_complete:
+        unmapped.tracking = slam.tracking_state()
+        yield unmapped, None
 
 
 def _mapped(
@@ -152,7 +168,11 @@ def _tracked(
 
 
 class _Ahead(Generic[T]):
-    """Runs an iterator in a thread of its own, a few items ahead."""
+    """Runs an iterator in a thread of its own, a few items ahead.
+
+    Attributes:
+        is_complete: whether the iterator has come to its end.
+    """
 
     def __init__(
         self, source: Iterator[T], ahead: int, halted: threading.Event, stopped: Callable[[], bool]
@@ -163,6 +183,7 @@ class _Ahead(Generic[T]):
         self._queue: queue.Queue[tuple[T] | BaseException | None] = queue.Queue(ahead)
         self._thread = threading.Thread(target=self._run, name="ggwarp-tracking", daemon=True)
         self._ended = False
+        self.is_complete = False
 
     def waiting(self) -> bool:
         """Return whether there is something to take without waiting: an item, or the end."""
@@ -206,4 +227,5 @@ class _Ahead(Generic[T]):
                 self._queue.put((item,))
         except BaseException as error:  # handed to the other side, which would else wait for ever
             end = error
+        self.is_complete = end is None
         self._queue.put(end)

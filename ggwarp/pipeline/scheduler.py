@@ -14,10 +14,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
+from ggwarp.runtime.state import state_value
+
 Waiting = Callable[[], bool]
 """Says whether another tracked frame waits for the mapper, or none will come any more."""
 
 
+@state_value
 @dataclass(frozen=True)
 class Arrival:
     """How a frame was taken up.

@@ -8,9 +8,11 @@ from dataclasses import dataclass, replace
 from ggwarp.pipeline.loops.loop_closer import Closure
 from ggwarp.pipeline.scheduler import Arrival
 from ggwarp.pipeline.tracking.keyframe_policy import KeyframeKind
+from ggwarp.runtime.state import state_value
 from ggwarp.types import Frame, StepReport, TrackResult, Verdict
 
 
+@state_value
 @dataclass(frozen=True)
 class TrackedFrame:
     """A frame as the tracker's side hands it to the mapper's; everything is on the host.

@@ -21,7 +21,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ggwarp.runtime.streams import to_host
-from ggwarp.types import Exposure, Frame, StepReport, Verdict
+from ggwarp.types import Exposure, Frame, FramePoints, StepReport, TrackResult, Verdict
 
 State = dict[str, Any]
 """A tree; its arrays are copies that no later work writes to."""
@@ -84,7 +84,7 @@ def state_value(cls: T) -> T:
     return cls
 
 
-for _value in (Exposure, StepReport, Verdict):
+for _value in (Exposure, FramePoints, StepReport, TrackResult, Verdict):
     state_value(_value)
 
 

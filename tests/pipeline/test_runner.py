@@ -15,7 +15,7 @@ from ggwarp.datasets.built_in.synthetic import SyntheticOffice
 from ggwarp.pipeline import runner
 from ggwarp.pipeline.mapping import optimiser
 from ggwarp.pipeline.mapping.mapper import MapperConfig
-from ggwarp.pipeline.runner import AHEAD, SideError, run_steps
+from ggwarp.pipeline.runner import AHEAD, SideError, Snapshot, run_steps
 from ggwarp.pipeline.scheduler import UncappedScheduler
 from ggwarp.pipeline.slam import Slam, SlamConfig
 from ggwarp.pipeline.tracking.hybrid import HybridTracker
@@ -31,11 +31,14 @@ def frame(index: int) -> Frame:
 class Sides:
     """Stands in for the system: notes what either side does, and fails where told."""
 
+    has_state = True
+
     def __init__(self, *, fail_tracking: int = -1, fail_mapping: int = -1) -> None:
         self.fail_tracking, self.fail_mapping = fail_tracking, fail_mapping
         self.tracked: list[int] = []
         self.mapped: list[int] = []
         self.skipped = 0
+        self.snapshots: list[Snapshot] = []
         self.may_map = threading.Event()
         self.may_map.set()
         self.blocked = threading.Event()
@@ -62,6 +65,12 @@ class Sides:
     def skip_frame(self) -> None:
         self.skipped += 1
 
+    def tracking_state(self) -> Any:
+        return list(self.tracked)
+
+    def mapping_state(self) -> Any:
+        return list(self.mapped)
+
     @contextlib.contextmanager
     def in_two_threads(self) -> Any:
         yield
@@ -72,7 +81,10 @@ def run(sides: Sides, items: Any, **options: Any) -> tuple[list[tuple[int, Any]]
     out: list[tuple[int, Any]] = []
     try:
         for item, report in run_steps(sides, items, **options):  # pyright: ignore[reportArgumentType]
-            out.append((item.index, report))
+            if isinstance(item, Snapshot):
+                sides.snapshots.append(item)
+            else:
+                out.append((item.index, report))
     except SideError as error:
         return out, error
     finally:
@@ -135,6 +147,34 @@ def test_a_stop_ends_it_with_every_pose(concurrent: bool) -> None:
     assert failure is None and [index for index, _ in out] == sides.tracked
     assert out[:3] == [(0, "mapped 0"), (1, "mapped 1"), (2, "mapped 2")]
     assert sides.mapped == [0, 1, 2] and len(out) <= 3 + AHEAD + 1
+
+
+@BOTH_WAYS
+def test_a_snapshot_is_of_both_sides_after_the_same_frame(concurrent: bool) -> None:
+    sides, asked = Sides(), iter([True, False, False, True, False, True, False, False, False])
+    run(sides, map(frame, range(7)), concurrent=concurrent, snapshot_due=lambda: next(asked))
+    assert [(s.tracking, s.mapping) for s in sides.snapshots] == [([0, 1, 2],) * 2, ([0, 1, 2, 3, 4],) * 2]
+    assert not any(s.pending for s in sides.snapshots)
+
+
+def test_what_the_tracker_was_ahead_is_mapped_when_the_run_goes_on() -> None:
+    sides = Sides()
+    sides.may_map.clear()
+
+    def release() -> None:
+        assert sides.blocked.wait(10.0)
+        sides.may_map.set()
+
+    helper = threading.Thread(target=release)
+    helper.start()
+    out, _ = run(sides, map(frame, range(50)), concurrent=True, stopped=lambda: 0 in sides.mapped)
+    helper.join()
+    [snapshot] = sides.snapshots
+    assert snapshot.mapping == [0] == sides.mapped and snapshot.tracking == sides.tracked
+    assert [t.frame.index for t in snapshot.pending] == sides.tracked[1:] == [i for i, _ in out[1:]]
+    again = Sides()
+    out, _ = run(again, map(frame, range(7, 9)), pending=snapshot.pending)
+    assert again.mapped == [*sides.tracked[1:], 7, 8] == [i for i, _ in out] and again.tracked == [7, 8]
 
 
 def test_the_tracker_runs_ahead_but_not_far() -> None:

@@ -101,14 +101,14 @@ class Campaign:
         self.operations = most - int(self._run(folder, whole, code=_KILLER).stdout.split()[-1])
         self.seconds = time.monotonic() - started
         self._run(folder, [*OLDER, "--out", str(folder / "older"), "--checkpoint-every", "off"])
-        self._run(folder, [*OLDER, "--out", str(folder / "older with checkpoint")])
+        self._run(folder, [*OLDER, "--out", str(folder / "older-with-checkpoint")])
         self.whole = outcome(folder / "whole")
 
     def trial(self, number: int) -> None:
         """Kill a run, go on with it, and note what was lost."""
-        place = self.folder / f"trial {number}"
+        place = self.folder / f"trial-{number}"
         out = place / "o"
-        older = self.folder / self.rng.choice(["older", "older with checkpoint"])
+        older = self.folder / self.rng.choice(["older", "older-with-checkpoint"])
         shutil.copytree(older, out)
         os.utime(out / "config.toml", (1_700_000_000, 1_700_000_000))  # it was there long before
         before = contents(out)
@@ -200,6 +200,7 @@ class Campaign:
 
     def _lose(self, place: Path, what: str) -> None:
         self.lost.append(f"{place.name}: {what}")
+        print(self.lost[-1], file=sys.stderr, flush=True)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

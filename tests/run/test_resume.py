@@ -10,6 +10,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -112,20 +113,31 @@ def test_an_older_checkpoint_is_as_good(whole: Path, copied: Path, capsys) -> No
     assert "is damaged" in only_line(capsys) and contents(copied) == before
 
 
-def test_a_run_that_was_stopped_goes_on(whole: Path, tmp_path: Path, monkeypatch) -> None:
-    step = Slam.map_frame
+@pytest.mark.parametrize("pipelined", ["off", "on"])
+def test_a_run_that_was_stopped_goes_on(whole: Path, tmp_path: Path, monkeypatch, pipelined: str) -> None:
+    step, tracked_ahead = Slam.map_frame, threading.Event()
+    track = Slam.track_frame
+
+    def noted(self, frame):
+        if frame.index == 9:
+            tracked_ahead.set()
+        return track(self, frame)
 
     def interrupted(self, tracked, waiting=None):
         if tracked.frame.index == 6:
             os.kill(os.getpid(), signal.SIGTERM)
+        if tracked.frame.index == 3 and pipelined == "on":
+            assert tracked_ahead.wait(60.0)  # so that frames are tracked that are not mapped
         return step(self, tracked, waiting)
 
     out = str(tmp_path / "o")
     with monkeypatch.context() as patch:
+        patch.setattr(Slam, "track_frame", noted)
         patch.setattr(Slam, "map_frame", interrupted)
-        assert run.main([*WHOLE, "--out", out, "-q"]) == 143
-    assert figures(Path(out))["frames"] == 3
-    assert run.main(["--resume", out, "-q"]) == 0
+        assert run.main([*WHOLE, "--pipelined", pipelined, "--out", out, "-q"]) == 143
+    frames = figures(Path(out))["frames"]
+    assert frames == 3 if pipelined == "off" else frames > 3, "those that the tracker was ahead"
+    assert run.main(["--resume", out, "--pipelined", "auto", "-q"]) == 0
     assert_same(Path(out), whole)
 
 

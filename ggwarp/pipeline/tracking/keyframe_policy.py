@@ -10,10 +10,11 @@ from typing import Protocol
 import numpy as np
 
 from ggwarp.map.covisibility import Look, intersection_over_union
-from ggwarp.runtime.state import Stateful
+from ggwarp.runtime.state import Stateful, state_value
 from ggwarp.types import Float64, TrackResult, Verdict
 
 
+@state_value
 class KeyframeKind(Enum):
     """What a frame adds to the map."""
 
