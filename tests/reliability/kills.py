@@ -138,7 +138,8 @@ class Campaign:
             count = self.rng.randrange(self.operations)
             done = self._run(place, [str(place), str(count), *arguments], code=_KILLER, check=False)
             return "an operation on files" if done.returncode == -signal.SIGKILL else "nothing"
-        process = subprocess.Popen([sys.executable, "-m", "ggwarp.run", *arguments], cwd=place)
+        command = [sys.executable, "-m", "ggwarp.run", *arguments]
+        process = subprocess.Popen(command, cwd=place, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         try:
             process.wait(self.rng.uniform(0.0, 1.1 * self.seconds))
             return "nothing"
