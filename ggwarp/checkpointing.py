@@ -7,7 +7,6 @@ import dataclasses
 import os
 import time
 from pathlib import Path
-from typing import Any
 
 import ggwarp
 from ggwarp.config import CheckpointInterval, ConfigError, ResumedRun, RunConfig
@@ -20,7 +19,7 @@ from ggwarp.pipeline.tracked_frame import TrackedFrame
 from ggwarp.results.checkpoints import save_checkpoint
 from ggwarp.results.record import RunRecord
 from ggwarp.results.staging import StagedFolder
-from ggwarp.runtime.state import StateError, pack, restored, unpack
+from ggwarp.runtime.state import State, StateError, pack, restored, unpack
 
 _MOST_TIME = 0.02
 """Share of a run's time that checkpoints by the clock may take: after a slow one, the next comes later."""
@@ -76,30 +75,33 @@ class Checkpoints:
     def write(self, snapshot: Snapshot) -> None:
         """Write a checkpoint of ``snapshot`` and of what the record has by now."""
         started = time.perf_counter()
-        tree: dict[str, Any] = {
-            "ggwarp": ggwarp.__version__,
-            "config": self._config,
-            "target": self._folder.target.name,
-            "linked": self._folder.linked,
-            "camera": self._camera,
-            "record": {name: pack(getattr(self._record, name)) for name in _RECORD}
-            | {"frames": self._progress[0], "wall_s": time.perf_counter() - self._started},
-            "tracking": snapshot.tracking,
-            "mapping": snapshot.mapping,
-            "pending": pack(snapshot.pending),
-        }
         try:
-            save_checkpoint(self._folder.path, tree)
-        except OSError as error:
+            save_checkpoint(self._folder.path, self._tree(snapshot))
+        except (OSError, TypeError) as error:  # TypeError: of state that no checkpoint can hold
             self._folder.name_target(error)
             if not self._failing:
-                where = f"{error.filename}: " if error.filename else ""
-                self._display.warn(f"no checkpoint: {where}{error.strerror or error}; the run goes on")
+                where = f"{error.filename}: " if isinstance(error, OSError) and error.filename else ""
+                why = getattr(error, "strerror", None) or error
+                self._display.warn(f"no checkpoint: {where}{why}; the run goes on")
             self._failing = True
         else:
             self._written, self._failing = self._progress, False
         self._last_time = time.perf_counter()
         self._cost_s = self._last_time - started
+
+    def _tree(self, snapshot: Snapshot) -> State:
+        record = {name: pack(getattr(self._record, name)) for name in _RECORD}
+        return {
+            "ggwarp": ggwarp.__version__,
+            "config": self._config,
+            "target": self._folder.target.name,
+            "linked": self._folder.linked,
+            "camera": self._camera,
+            "record": record | {"frames": self._progress[0], "wall_s": time.perf_counter() - self._started},
+            "tracking": snapshot.tracking,
+            "mapping": snapshot.mapping,
+            "pending": pack(snapshot.pending),
+        }
 
     def write_now(self) -> None:
         """Write one of the system as it is, between two frames, unless there is one; not after a failure."""

@@ -22,7 +22,7 @@ from ggwarp.pipeline.loops.places import SEPARATE, Place, candidates, far_enough
 from ggwarp.pipeline.loops.pose_graph import MeasuredMotion, optimise_poses
 from ggwarp.pipeline.loops.recognition import VisualIndex
 from ggwarp.pipeline.tracking.relocalisation import SmallViews
-from ggwarp.runtime.state import Stateful
+from ggwarp.runtime.state import Stateful, state_value
 from ggwarp.types import Float64, Frame, TrackResult, Verdict
 
 _NEIGHBOUR_INLIERS, _INLIERS = 10, 20
@@ -58,6 +58,10 @@ _AGREEMENT = 0.3
 """Two loops say the same where their corrections differ by less than this share of them."""
 
 
+state_value(PoseCorrection)
+
+
+@state_value
 @dataclass(frozen=True)
 class Closure:
     """A loop that was closed.
