@@ -24,7 +24,8 @@ from ggwarp.runtime.state import State, StateError, pack, restored, unpack
 _MOST_TIME = 0.02
 """Share of a run's time that checkpoints by the clock may take: after a slow one, the next comes later."""
 
-_RECORD = ("truth", "skipped", "loop_s", "refine_iterations", "refine_s")
+KEPT_OF_THE_RECORD = ("truth", "skipped", "loop_s", "refine_iterations", "refine_s")
+"""Fields of a run's record; the reports are the system's, all else is of the start or the end of a run."""
 
 
 class Checkpoints:
@@ -90,7 +91,7 @@ class Checkpoints:
         self._cost_s = self._last_time - started
 
     def _tree(self, snapshot: Snapshot) -> State:
-        record = {name: pack(getattr(self._record, name)) for name in _RECORD}
+        record = {name: pack(getattr(self._record, name)) for name in KEPT_OF_THE_RECORD}
         return {
             "ggwarp": ggwarp.__version__,
             "config": self._config,
@@ -170,7 +171,7 @@ def _restore(resumed: ResumedRun, slam: Slam, record: RunRecord, reader: FrameRe
     try:
         if tree["camera"] != dataclasses.asdict(reader.camera):
             raise StateError("the sequence's camera is not the one that it was")
-        for name in _RECORD:
+        for name in KEPT_OF_THE_RECORD:
             setattr(record, name, restored(getattr(record, name), tree["record"][name], reader.read))
         slam.restore(tree["tracking"], tree["mapping"], reader.read)
         record.reports = list(slam.reports)

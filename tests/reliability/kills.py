@@ -32,6 +32,7 @@ from ggwarp.config.resumed_run import open_resumed
 from ggwarp.config.run_config import ConfigError
 from ggwarp.io.guarded import FileError
 from ggwarp.results.checkpoints import find_run
+from ggwarp.results.run_folder import OUTPUTS
 
 FRAMES = 6
 RUN = [
@@ -42,7 +43,7 @@ OLDER = [
     *("--seq", "office", "--device", "cpu", "--scale", "0.06", "--frames", "0:2", "-q"),
     *("--save-renders", "0"),
 ]
-COMPARED = ("trajectory.txt", "trajectory_gt.txt", "map.ply", "objects.json", "classifier.npz", "config.toml")
+COMPARED = tuple(sorted({*OUTPUTS} - {"metrics.json", "frames.csv"}))
 NOT_COMPARED = {
     *("fps", "wall_s", "tracking_ms", "mapping_ms", "refine_s", "peak_memory_mb"),
     *("latency_ms_p50", "latency_ms_p95"),

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import re
@@ -17,8 +18,11 @@ import pytest
 
 from fake_slam import only_line
 from ggwarp import run
+from ggwarp.checkpointing import KEPT_OF_THE_RECORD
 from ggwarp.pipeline.slam import Slam
 from ggwarp.results.checkpoints import checkpoint_files
+from ggwarp.results.record import RunRecord
+from ggwarp.results.run_folder import OUTPUTS
 
 OPTIONS = ["--seq", "office", "--device", "cpu", "--scale", "0.08", "--save-renders", "0"]
 METHOD = ["--mapper.iterations", "2", "--gicp.points", "1500"]
@@ -58,7 +62,7 @@ def figures(folder: Path) -> dict[str, object]:
 
 
 def assert_same(one: Path, other: Path) -> None:
-    for name in ("trajectory.txt", "map.ply", "objects.json", "classifier.npz", "config.toml"):
+    for name in {*OUTPUTS} - {"metrics.json", "frames.csv"}:
         assert (one / name).read_bytes() == (other / name).read_bytes(), name
     assert figures(one) == figures(other)
 
@@ -186,6 +190,13 @@ def test_what_cannot_change_is_refused_by_name(copied: Path, capsys, options: st
     assert run.main(["--resume", "o", *options.split(), "-q"]) == run.USER_ERROR
     assert re.search(reason, only_line(capsys))
     assert contents(copied) == before and [p.name for p in Path().iterdir()] == ["o"]
+
+
+def test_all_of_the_record_is_kept_or_follows() -> None:
+    of_the_start = {"sequence", "dataset", "device", "monocular", "class_names", "plan"}
+    of_the_end = {"live", "counts", "failure", "failures", "evaluation"}
+    names = {field.name for field in dataclasses.fields(RunRecord)}
+    assert names == {*KEPT_OF_THE_RECORD, "reports"} | of_the_start | of_the_end
 
 
 def test_results_may_go_elsewhere(whole: Path, copied: Path) -> None:
