@@ -48,6 +48,9 @@ class Checkpoints:
             config: resolved, of the whole run.
             started: time.perf_counter() at the command's start, less what the run took before.
         """
+        if reader.is_live and not interval.is_off:
+            display.note("no checkpoints: frames of a live source cannot be read again")
+            interval = CheckpointInterval()
         self._interval, self._slam = interval, slam
         self._folder, self._record, self._display = folder, record, display
         self._config = toml_text(dataclasses.replace(config, out=None))
@@ -103,6 +106,10 @@ class Checkpoints:
             "mapping": snapshot.mapping,
             "pending": pack(snapshot.pending),
         }
+
+    def end(self) -> None:
+        """Write no more: a step was broken off, and the system is between two states."""
+        self._interval = CheckpointInterval()
 
     def write_now(self) -> None:
         """Write one of the system as it is, between two frames, unless there is one; not after a failure."""

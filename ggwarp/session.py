@@ -127,13 +127,9 @@ class Session:
         """Build the system, make the run folder and load the kernels."""
         config, dataset, folder = self.config, self._dataset, self.folder
         assert folder is not None, "open() comes first"
-        self._reader = FrameReader(
-            dataset, self._indices, scale=config.scale or 1.0, stopped=lambda: self._stopped
-        )
-        budget = image_budget(config.device, config.memory)
-        self._kept = KeptFrames(
-            dataset, scale=config.scale or 1.0, budget=budget, stopped=lambda: self._stopped
-        )
+        scale, budget = config.scale or 1.0, image_budget(config.device, config.memory)
+        self._reader = FrameReader(dataset, self._indices, scale=scale, stopped=lambda: self._stopped)
+        self._kept = KeptFrames(dataset, scale=scale, budget=budget, stopped=lambda: self._stopped)
         self._frames = self._reader if self._resumed is None else self._reader.after(self._resumed.done)
         self._slam = build_system(config, self._frames, budget - self._kept.room, folder.nearest)
         if reason := self._slam.loops.stay_open:
@@ -168,8 +164,7 @@ class Session:
         """
         reader, record = self._frames, self.record
         self._interruption.at_once = False
-        frames = len(self._pending) + len(reader)
-        self._display.stage("frames", None if is_live(self._dataset) else frames)
+        self._display.stage("frames", None if is_live(self._dataset) else len(self._pending) + len(reader))
         self._loop_started = time.perf_counter() - record.loop_s
         try:
             with self._interruption.breakable(), reader:
@@ -195,6 +190,7 @@ class Session:
         except KeyboardInterrupt:  # a step did not end: what was done before it is saved
             if not self._stopped:
                 raise
+            self._checkpoints.end()
         record.loop_s = time.perf_counter() - self._loop_started
         record.counts = dict(self._slam.counts)
         if lost := dropped_frames(self._dataset):
@@ -221,6 +217,7 @@ class Session:
                     with self._interruption.breakable():
                         self._slam.refine()
                 except KeyboardInterrupt:
+                    self._checkpoints.end()
                     break
                 except Exception as error:
                     record.failure = SideError("refinement", f"at iteration {record.refine_iterations}")
@@ -237,8 +234,7 @@ class Session:
                 self._display.note(f"refinement ended after {done}")
         if record.failure is not None:  # said first: what follows may fail for the same reason
             self._saver.failed(str(record.failure), record.failure.__cause__ or record.failure)
-        with self._interruption.held():
-            self._checkpoints.write_now()
+        self._checkpoints.write_now()
         record.correct(self._slam.fitted_poses())
         if not self._ended:
             self._saver.judge(self.config.slam.gicp.far if self._dataset.has_depth else None)

@@ -14,7 +14,7 @@ from typing import TypeVar
 import cv2
 import numpy as np
 
-from ggwarp.datasets.base import Dataset, DatasetError, FrameError, SequenceEnd, at_scale
+from ggwarp.datasets.base import Dataset, DatasetError, FrameError, SequenceEnd, at_scale, is_live
 from ggwarp.datasets.resize import reduce_depth, resize_labels
 from ggwarp.geometry.camera import Camera
 from ggwarp.types import Frame
@@ -93,6 +93,11 @@ class FrameReader:
 
     def __len__(self) -> int:
         return len(self.indices)
+
+    @property
+    def is_live(self) -> bool:
+        """Whether frames come once, as they are taken."""
+        return is_live(self._dataset)
 
     def after(self, count: int) -> FrameReader:
         """Return a reader of the frames after the first ``count``."""

@@ -46,7 +46,7 @@ OLDER = [
 COMPARED = tuple(sorted({*OUTPUTS} - {"metrics.json", "frames.csv"}))
 NOT_COMPARED = {
     *("fps", "wall_s", "tracking_ms", "mapping_ms", "refine_s", "peak_memory_mb"),
-    *("latency_ms_p50", "latency_ms_p95"),
+    *("latency_ms_p50", "latency_ms_p95", "loop_ms"),
 }
 
 _KILLER = """

@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -169,6 +170,26 @@ def test_a_failure_leaves_what_can_go_on(whole: Path, tmp_path: Path, monkeypatc
     assert run.main(["--resume", "o-incomplete", "-q"]) == 0
     assert_same(Path("o"), whole)
     assert not Path("o-incomplete").exists()
+
+
+def test_a_step_that_was_broken_off_is_in_no_checkpoint(whole: Path, tmp_path: Path, monkeypatch) -> None:
+    step, monotonic = Slam.map_frame, time.monotonic
+
+    def broken(self, tracked, waiting=None):
+        if tracked.frame.index == 12:
+            self._mapper.insert(tracked.frame, tracked.result.T_wc)  # half of it
+            os.kill(os.getpid(), signal.SIGTERM)
+            monkeypatch.setattr(time, "monotonic", lambda: monotonic() + 60.0)
+            os.kill(os.getpid(), signal.SIGTERM)
+        return step(self, tracked, waiting)
+
+    out = tmp_path / "o"
+    with monkeypatch.context() as patch:
+        patch.setattr(Slam, "map_frame", broken)
+        assert run.main([*WHOLE, "--out", str(out), "--checkpoint-every", "2", "-q"]) == 143
+    assert figures(out)["frames"] == 4 and len(checkpoint_files(out)) == 2
+    assert run.main(["--resume", str(out), "-q"]) == 0
+    assert_same(out, whole)
 
 
 @pytest.mark.parametrize(
