@@ -51,7 +51,7 @@ def main(arguments: list[str] | None = None) -> int:
             dataset = open_dataset(
                 options.sequence, data_root=root, masks=options.masks, intrinsics=intrinsics
             )
-            plan = plan_sequence(dataset)
+            plan = plan_sequence(dataset, pictures=True)
         name = re.sub(r"[^\w.-]+", "_", dataset.name)
         written = _write_sheet(plan, sheet or Path(f"inspect-{name}.png"))
     except DatasetError as error:

@@ -176,6 +176,14 @@ class FileSequence:
             frame, self._seen(self._masks.read(index), taken) if self._masks else None, self.camera
         )
 
+    def depth_of(self, index: int) -> Float32 | None:
+        """Return frame ``index``'s depth alone, as the frame has it.
+
+        Raises:
+            FrameError: as indexing.
+        """
+        return self._depth(self._entries[index])
+
     def _seen(self, labels: NDArray[np.int32] | None, taken: Camera) -> NDArray[np.int32] | None:
         """Return labels drawn on pictures of the camera ``taken`` as the frames' camera sees them."""
         if labels is None or not self._rig.bends(taken):

@@ -10,7 +10,7 @@ frame agrees less in all of them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Mapping
 
 import cv2
 import numpy as np
@@ -40,34 +40,34 @@ LEAST_AGREEMENT = 1.5
 """Below it, colour and depth do not show the same."""
 
 
-def judge(
-    colours: Callable[[int], NDArray[np.uint8] | None],
-    depths: Callable[[int], Float32 | None],
-    indices: Sequence[int],
-    count: int,
-) -> str:
+def neighbours(indices: Iterable[int], count: int) -> list[int]:
+    """Return ``indices`` and the frames, of ``count``, whose depth :func:`judge` also compares, rising."""
+    around = {index + offset for index in indices for offset in (0, *_OFFSETS)}
+    return sorted(index for index in around if 0 <= index < count)
+
+
+def judge(pictures: Mapping[int, NDArray[np.uint8]], edges: Mapping[int, NDArray[np.bool_]]) -> str:
     """Say what seems wrong with the pairing of a sequence's colour and depth; empty: nothing.
 
     Args:
-        colours, depths: the picture [h, w, 3] and the depth [h, w] of a frame; None: it has none.
-        indices: the frames to look at.
-        count: frames of the sequence.
+        pictures: index -> the picture [h, w, 3] of the frames to look at.
+        edges: index -> the edges of the depth of these and their :func:`neighbours`, where there are any; see
+            :func:`edges_of_depth`.
     """
     agreements: list[float] = []
     gains: dict[int, list[float]] = {offset: [] for offset in _OFFSETS}
-    for index in indices:
-        rgb, depth = colours(index), depths(index)
-        if rgb is None or depth is None:
+    for index, rgb in pictures.items():
+        here = edges.get(index)
+        if here is None or here.sum() < _FEWEST:
             continue
-        gradients, edges = gradients_of_colour(rgb), edges_of_depth(depth)
-        if edges.sum() < _FEWEST:
+        gradients = gradients_of_colour(rgb)
+        if gradients.shape != here.shape:
             continue
-        agreements.append(agreement(gradients, edges))
-        own = float(gradients[edges].mean())
+        agreements.append(agreement(gradients, here))
+        own = float(gradients[here].mean())
         for offset in _OFFSETS:
-            other = depths(index + offset) if 0 <= index + offset < count else None
-            moved = None if other is None else edges_of_depth(other)
-            if moved is not None and moved.shape == edges.shape and moved.sum() >= _FEWEST:
+            moved = edges.get(index + offset)
+            if moved is not None and moved.shape == here.shape and moved.sum() >= _FEWEST:
                 gains[offset].append(float(gradients[moved].mean()) - own)
     if len(agreements) < _FEWEST_FRAMES:
         return ""

@@ -3,18 +3,20 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ggwarp.datasets.base import Dataset, DatasetError, FrameError, is_live
 from ggwarp.datasets.plan.camera_checks import camera_doubts, field_of_view
-from ggwarp.datasets.plan.correspondence import judge
+from ggwarp.datasets.plan.correspondence import edges_of_depth, judge, neighbours
 from ggwarp.datasets.plan.depth_checks import depth_faults, depth_statistics
 from ggwarp.datasets.source import source_of
-from ggwarp.types import Float32, Frame
+from ggwarp.types import Frame
 
 SAMPLES = 6
 """Frames that are looked at, spread over the sequence."""
@@ -69,7 +71,9 @@ class SequencePlan:
         return values | {"unread": list(self.unread), "warnings": list(self.warnings)}
 
 
-def plan_sequence(dataset: Dataset, indices: Sequence[int] | None = None) -> SequencePlan:
+def plan_sequence(
+    dataset: Dataset, indices: Sequence[int] | None = None, *, pictures: bool = False
+) -> SequencePlan:
     """Look at a few frames of ``dataset`` and say what it is taken for.
 
     A built-in scene is not looked at: it is what it is, and rendering it costs. Nor is one with an attribute
@@ -77,6 +81,7 @@ def plan_sequence(dataset: Dataset, indices: Sequence[int] | None = None) -> Seq
 
     Args:
         indices: the frames that will be used; None: all.
+        pictures: also look at frames that have no depth to be checked.
 
     Raises:
         DatasetError: its depth cannot be what it is taken for.
@@ -86,8 +91,9 @@ def plan_sequence(dataset: Dataset, indices: Sequence[int] | None = None) -> Seq
     if with_depth := set(_attribute(dataset, "frames_with_depth") or ()):
         used = [i for i in used if i in with_depth] or used
     known = dataset.kind == "synthetic" or is_live(dataset)
-    places = np.linspace(0, len(used) - 1, SAMPLES)
-    chosen = [] if known else sorted({used[int(place)] for place in places})
+    shown = not known and (pictures or dataset.has_depth)
+    places = np.linspace(0, len(used) - 1, SAMPLES) if shown else []
+    chosen = sorted({used[int(place)] for place in places})
     frames, bad = _looked_at(dataset, chosen)
     images = [frame.depth for frame in frames if frame.depth is not None]
     median, share = depth_statistics(images)
@@ -144,17 +150,17 @@ def _looked_at(dataset: Dataset, indices: Sequence[int]) -> tuple[list[Frame], i
 
 
 def _judged(dataset: Dataset, frames: Sequence[Frame]) -> str:
-    pictures = {frame.index: frame for frame in frames}
-
-    def depth(index: int) -> Float32 | None:
-        if index in pictures:
-            return pictures[index].depth
-        try:
-            return dataset[index].depth
-        except FrameError:
-            return None
-
-    return judge(lambda index: pictures[index].rgb, depth, list(pictures), len(dataset))
+    pictures = {frame.index: frame.rgb for frame in frames}
+    known = {frame.index: frame.depth for frame in frames}
+    depth_of = _attribute(dataset, "depth_of") or (lambda index: dataset[index].depth)
+    edges: dict[int, NDArray[np.bool_]] = {}
+    # In rising order: what is packed in a row is read once.
+    for index in neighbours(pictures, len(dataset)):
+        with contextlib.suppress(FrameError):
+            depth = known[index] if index in known else depth_of(index)
+            if depth is not None:
+                edges[index] = edges_of_depth(depth)
+    return judge(pictures, edges)
 
 
 def _bad_share(bad: int, looked_at: int) -> str:

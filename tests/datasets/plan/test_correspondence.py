@@ -14,6 +14,7 @@ from ggwarp.datasets.plan.correspondence import (
     edges_of_depth,
     gradients_of_colour,
     judge,
+    neighbours,
 )
 from ggwarp.types import Frame
 
@@ -25,7 +26,13 @@ def frames() -> list[Frame]:
 
 
 def said(frames: list[Frame], depth_of: list[int]) -> str:
-    return judge(lambda i: frames[i].rgb, lambda i: frames[depth_of[i]].depth, range(3, 13, 2), len(depth_of))
+    depths = [frames[i].depth for i in depth_of]
+    return judged(frames, [depth for depth in depths if depth is not None])
+
+
+def judged(frames: list[Frame], depths: list[np.ndarray], looked_at: range = range(3, 13, 2)) -> str:
+    edges = {i: edges_of_depth(depths[i]) for i in neighbours(looked_at, len(depths))}
+    return judge({i: frames[i].rgb for i in looked_at}, edges)
 
 
 def test_what_belongs_together_is_not_doubted(frames: list[Frame]) -> None:
@@ -46,15 +53,18 @@ def test_depth_of_a_neighbour_is_named(frames: list[Frame], shift: int, says: st
 
 def test_swapped_and_mirrored_depth_is_told(frames: list[Frame]) -> None:
     mirrored = [np.ascontiguousarray(f.depth[:, ::-1]) for f in frames if f.depth is not None]
-    reason = judge(lambda i: frames[i].rgb, lambda i: mirrored[i], range(3, 13, 2), 16)
+    reason = judged(frames, mirrored)
     assert reason.startswith("edges of the depth do not lie on edges of the pictures")
 
 
 def test_too_few_edges_or_frames_say_nothing(frames: list[Frame]) -> None:
-    wall = np.full((120, 160), 2.0, np.float32)
-    assert judge(lambda i: frames[i].rgb, lambda _: wall, range(8), 16) == ""
-    assert judge(lambda i: frames[i].rgb, lambda i: frames[-i].depth, range(2), 16) == ""
-    assert judge(lambda _: None, lambda _: None, range(8), 16) == ""
+    assert judged(frames, [np.full((170, 300), 2.0, np.float32)] * 16) == ""
+    assert judged(frames, [frame.depth for frame in frames[::-1] if frame.depth is not None], range(2)) == ""
+    assert judge({0: frames[0].rgb}, {}) == "" == judge({}, {})
+
+
+def test_neighbours_rise_and_stay_inside() -> None:
+    assert neighbours([4, 0], 6) == [0, 1, 2, 3, 4, 5]
 
 
 def test_edges_are_on_the_nearer_side_and_not_at_holes() -> None:
