@@ -55,9 +55,9 @@ def clipped_share(frame: Frame, rendered: Rendered) -> float:
     explained &= np.abs(rendered.surface_depth - frame.depth) < _TOLERANCE * frame.depth
     if np.mean(explained) < _LEAST:
         return 0.0
-    white: Bools = ((picture >= _BRIGHT) & (rendered.rgb < _BRIGHT - _APART)).any(axis=2)
-    black: Bools = ((picture <= _DARK) & (rendered.rgb > _DARK + _APART)).all(axis=2)
-    return np.count_nonzero(explained & (white | black)) / np.count_nonzero(explained)
+    white = np.any((picture >= _BRIGHT) & (rendered.rgb < _BRIGHT - _APART), axis=2)
+    black = np.all((picture <= _DARK) & (rendered.rgb > _DARK + _APART), axis=2)
+    return np.count_nonzero(explained & np.logical_or(white, black)) / np.count_nonzero(explained)
 
 
 def is_unusable(share: float) -> bool:
