@@ -17,6 +17,7 @@ from ggwarp.datasets.built_in.lighting import baked_lights
 from ggwarp.datasets.built_in.office import office_scene
 from ggwarp.datasets.built_in.scene import Scene, Shape, device_arrays, in_view, looking, primitive_rows
 from ggwarp.datasets.built_in.wall import wall_scene, wall_trajectory
+from ggwarp.datasets.source import Source
 from ggwarp.geometry.camera import Camera
 from ggwarp.kernels.camera import intrinsics_of
 from ggwarp.kernels.scene import raycast
@@ -39,6 +40,8 @@ class SyntheticScene:
     """
 
     kind = "synthetic"
+    source = Source("a built-in scene", depth_unit="metres, rendered", truth="the rendered camera's poses")
+    masks_text = "rendered"
     has_depth = True
     has_masks = True
 

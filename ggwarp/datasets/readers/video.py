@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ggwarp.datasets.base import DatasetError, FrameError
 from ggwarp.datasets.calibration import Intrinsics, given_camera
 from ggwarp.datasets.images import Size, size_of
+from ggwarp.datasets.source import Source
 from ggwarp.io.guarded import VIDEO, FileError, check_file
 from ggwarp.types import Frame
 
@@ -111,6 +112,7 @@ class VideoSequence:
     kind = "video"
     has_depth = False
     has_masks = False
+    source = Source(layout="a video", camera="--intrinsics")
 
     def __init__(self, path: Path, intrinsics: Intrinsics | None) -> None:
         """Open the file.

@@ -79,7 +79,8 @@ def test_depth_that_cannot_be_right_is_refused(make_folder: Maker, sample: Simpl
 
 def test_a_built_in_scene_is_not_rendered() -> None:
     plan = plan_sequence(open_dataset("office", data_root=Path("absent")))
-    assert plan.looked_at == () and plan.layout == "synthetic, 120 frames" and not plan.warnings
+    assert plan.looked_at == () and plan.layout == "a built-in scene, 120 frames" and not plan.warnings
+    assert (plan.depth, plan.masks) == ("metres, rendered", "rendered")
 
 
 @pytest.mark.parametrize(
