@@ -8,6 +8,7 @@ is to be registered), and intrinsics that change from frame to frame as a phone 
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -163,11 +164,11 @@ class Rig:
 
 
 def typical_camera(cameras: Sequence[Camera]) -> Camera:
-    """Return the camera of median focal lengths and centre of ``cameras``, all of the first one's size."""
-    first = cameras[0]
-    values = [(c.fx, c.fy, c.cx, c.cy) for c in cameras if (c.width, c.height) == (first.width, first.height)]
+    """Return the camera of median focal lengths and centre of ``cameras`` of the most usual size."""
+    size = Counter((c.width, c.height) for c in cameras).most_common(1)[0][0]
+    values = [(c.fx, c.fy, c.cx, c.cy) for c in cameras if (c.width, c.height) == size]
     fx, fy, cx, cy = np.median(np.array(values), axis=0).tolist()
-    return Camera(first.width, first.height, fx, fy, cx, cy)
+    return Camera(*size, fx, fy, cx, cy)
 
 
 def _fitted(depth: Float32, camera: Camera) -> Float32:

@@ -29,7 +29,7 @@ from ggwarp.datasets.pairing import frame_numbers, in_order
 from ggwarp.datasets.resize import resize_labels
 from ggwarp.datasets.source import NO_SOURCE, Source
 from ggwarp.geometry.camera import Camera
-from ggwarp.io.camera import camera_fault
+from ggwarp.io.camera import camera_fault, size_fault
 from ggwarp.io.guarded import FileError, inside
 from ggwarp.types import Float32, Float64, Frame
 
@@ -118,6 +118,8 @@ class FileSequence:
         self.depth_scale = calibration.depth_scale
         """What a metre counts in the depth images that are of whole numbers."""
         self._calibration = calibration
+        if fault := size_fault(**dataclasses.asdict(self.camera)):  # nothing of it could be held
+            raise DatasetError(f"{root}: its camera cannot be right: {fault}")
         self._rig = calibration.rig()
         self._least_confidence = least_confidence
         self.stems = [entry.rgb.stem for entry in entries]

@@ -41,6 +41,20 @@ def test_bonn_whose_truth_is_of_markers(tmp_path: Path) -> None:
     check_truth(dataset)
 
 
+def test_one_camera_file_of_nonsense_spoils_one_frame(tmp_path: Path) -> None:
+    LAYOUTS["arkitscenes"](tmp_path)
+    first = min((tmp_path / "lowres_wide_intrinsics").glob("*.pincam"))
+    first.write_text("1e30 60 50 50 40 30")
+    dataset = opened(tmp_path)
+    assert dataset.camera.width == COLOUR.width and dataset[1].rgb.any()
+    with pytest.raises(FrameError, match="80x60, but the camera file says"):
+        _ = dataset[0]
+    for file in (tmp_path / "lowres_wide_intrinsics").glob("*.pincam"):
+        file.write_text("1e30 60 50 50 40 30")
+    with pytest.raises(DatasetError, match="its camera cannot be right: w is 1e"):
+        opened(tmp_path)
+
+
 def test_sens(tmp_path: Path) -> None:
     path = sens(tmp_path / "scene0000_00.sens")
     dataset = opened(path)
