@@ -19,6 +19,7 @@ from distributed_data_sets import (
     table,
 )
 from ggwarp.datasets import DatasetError, FrameError, open_dataset
+from ggwarp.datasets.source import source_of
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from phone_recordings import FRAMES, opened, write
@@ -53,6 +54,18 @@ def test_one_camera_file_of_nonsense_spoils_one_frame(tmp_path: Path) -> None:
         file.write_text("1e30 60 50 50 40 30")
     with pytest.raises(DatasetError, match="its camera cannot be right: w is 1e"):
         opened(tmp_path)
+
+
+def test_replica_with_its_own_instances(tmp_path: Path) -> None:
+    LAYOUTS["replica-semantic"](tmp_path)
+    dataset = opened(tmp_path)
+    frame = dataset[1]
+    assert dataset.has_masks and frame.mask is not None
+    depth = look(Camera(80, 60, 40.0, 40.0, 39.5, 29.5), pose(1))[1]
+    np.testing.assert_array_equal(frame.mask, np.where(depth < 1.9, 7, 0))
+    without = open_dataset(str(tmp_path), data_root=tmp_path, masks="none")
+    assert not without.has_masks
+    assert source_of(dataset).unread == ()
 
 
 def test_sens(tmp_path: Path) -> None:
