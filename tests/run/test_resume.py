@@ -196,7 +196,7 @@ def test_a_step_that_was_broken_off_is_in_no_checkpoint(whole: Path, tmp_path: P
     ("options", "reason"),
     [
         ("--mapper.iterations 3", "--mapper.iterations: with --resume a run keeps what it began with"),
-        ("--scale 0.1 --tracker hybrid", "--tracker, --scale: with --resume"),
+        ("--scale 0.1 --tracker ground-truth", "--tracker, --scale: with --resume"),
         ("--preset fast", "leave --config and --preset out"),
         ("--frames 0:4", "the run has 6 frames behind it, 0 to 15; give the frames that it began with"),
         ("--frames 1:30:3", "the run has 6 frames behind it"),
