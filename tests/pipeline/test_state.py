@@ -84,6 +84,7 @@ def changed(config: SlamConfig, **mapper: Any) -> SlamConfig:
 
 def configurations() -> dict[str, SlamConfig]:
     default, monogs = (preset_config(name).slam for name in ("gg-slam", "monogs"))
+    default = dataclasses.replace(default, tracker="gicp")
     with_3d = dataclasses.replace(default.mapper.classifier, weight_3d=1.0)
     densify = dataclasses.replace(monogs.mapper.densify, interval=20, reset_interval=23)
     window = dataclasses.replace(monogs.window, size=3, confirmations=1)
@@ -141,7 +142,9 @@ def frames_of(config: SlamConfig) -> list[Frame]:
     if config.mono:  # the start, and a few frames more
         indices = range(100, 112)
     else:
-        indices = range(8) if config.tracker == "photometric" else range(0, 18, 3)
+        # A descent renders many times.
+        few = config.refinement.method == "descent"
+        indices = range(5 if few else 8) if config.tracker == "photometric" else range(0, 18, 3)
     return [frame_at(config.mono, i) for i in indices]
 
 
