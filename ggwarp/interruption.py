@@ -4,7 +4,10 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
+import sys
+import threading
 import time
 from collections.abc import Iterator
 from types import FrameType, TracebackType
@@ -13,6 +16,9 @@ from typing import Any
 _PATIENCE = 5.0
 """Seconds after the first signal in which another one is taken for the same."""
 
+
+COMPILER = "ggwarp-load"
+"""The name of threads that compile."""
 
 _program_ends = False
 
@@ -25,6 +31,18 @@ def end_program_after() -> None:
     """
     global _program_ends
     _program_ends = True
+
+
+def leave_compilers(code: int) -> None:
+    """End the program at once with ``code``, where it is to end and a compiler works in one of its threads.
+
+    Python's own end, with a compiler at work, crashes.
+    """
+    if _program_ends and any(thread.name == COMPILER for thread in threading.enumerate()):
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(OSError, ValueError):
+                stream.flush()
+        os._exit(code)
 
 
 class Interrupted(KeyboardInterrupt):

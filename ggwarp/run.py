@@ -9,7 +9,7 @@ import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from ggwarp.interruption import Interruption, end_program_after
+from ggwarp.interruption import Interruption, end_program_after, leave_compilers
 from ggwarp.io.printable import printable
 
 if TYPE_CHECKING:
@@ -35,7 +35,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if isinstance(error, KeyboardInterrupt) or (
                 interruption.requested and interruption.at_once and not isinstance(error, SystemExit)
             ):
-                return _refuse(None, "interrupted; nothing was saved", interruption.exit_code)
+                code = _refuse(None, "interrupted; nothing was saved", interruption.exit_code)
+                leave_compilers(code)
+                return code
             raise
 
 

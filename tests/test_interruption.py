@@ -94,6 +94,30 @@ def test_when_the_program_ends_a_second_one_changes_nothing(tmp_path: Path) -> N
     assert done.returncode == 143
 
 
+_COMPILING = """
+import atexit, os, threading, time
+from ggwarp import interruption
+from ggwarp.runtime import loading
+interruption.end_program_after()
+loading._PATIENCE = 0.1
+loading._load_one = lambda module, device: time.sleep(60)
+loading.uncompiled = lambda modules, device: []
+threading.Timer(0.5, os.kill, (os.getpid(), 2)).start()
+atexit.register(print, "the interpreter's own end")
+try:
+    loading.load([1, 2], "cpu")
+except KeyboardInterrupt:
+    print("interrupted")
+    interruption.leave_compilers(130)
+"""
+
+
+def test_a_compiler_that_goes_on_is_left() -> None:
+    environment = {**os.environ, "PYTHONPATH": str(Path(ggwarp.__file__).parents[1])}
+    done = subprocess.run([sys.executable, "-c", _COMPILING], env=environment, capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "interrupted\n", "")
+
+
 @pytest.mark.parametrize("number", SIGNALS, ids=lambda n: n.name)
 def test_while_it_is_imported(tmp_path: Path, number: signal.Signals) -> None:
     """A library that takes long to import stands in for a slow disk."""

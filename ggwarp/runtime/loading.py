@@ -193,18 +193,29 @@ def _load_all(modules: list[Any], device: Any) -> None:
                     ended.set()
 
     count = min(os.cpu_count() or 1, len(modules))
+    left = threading.Semaphore(
+        0
+    )  # not join(): when it is interrupted, Python 3.11 takes the thread for ended
+
+    def worker() -> None:
+        try:
+            work()
+        finally:
+            left.release()
+
     # Daemons, not a pool: the program would wait for a pool's whole queue before it ends.
-    threads = [threading.Thread(target=work, name="ggwarp-load", daemon=True) for _ in range(count)]
-    for thread in threads:
-        thread.start()
+    for _ in range(count):
+        threading.Thread(target=worker, name="ggwarp-load", daemon=True).start()
+    waited = 0
     try:
-        for thread in threads:
-            thread.join()
+        while waited < count:
+            left.acquire()
+            waited += 1
     except BaseException:
         ended.set()
         deadline = time.monotonic() + _PATIENCE
-        for thread in threads:
-            thread.join(max(0.0, deadline - time.monotonic()))
+        while waited < count and left.acquire(timeout=max(0.0, deadline - time.monotonic())):
+            waited += 1
         raise
     if errors:
         raise errors[0]
