@@ -11,7 +11,14 @@ from typing import Generic, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ggwarp.datasets.base import MOST_LIVE_FRAMES, DatasetError, FrameError, SequenceEnd
+from ggwarp.datasets.base import (
+    MOST_LIVE_FRAMES,
+    DatasetError,
+    FrameError,
+    MaskChoice,
+    Masks,
+    SequenceEnd,
+)
 from ggwarp.datasets.calibration import Calibration
 from ggwarp.datasets.images import shown_size, size_of
 from ggwarp.datasets.source import Source
@@ -180,11 +187,12 @@ class Newest(Generic[T]):
             return self._waiting.popleft()
 
 
-def no_masks(masks: object, what: str) -> None:
+def no_masks(masks: Masks, what: str) -> None:
     """Refuse masks, which frames that are not there yet cannot have.
 
     Raises:
         DatasetError: there are some.
     """
-    if masks is not None and str(masks) != "none":
-        raise DatasetError(f"--masks {masks}: {what} has no masks; leave the option out")
+    where = MaskChoice.of(masks).where
+    if where is not None and str(where) != "none":
+        raise DatasetError(f"--masks {where}: {what} has no masks; leave the option out")
