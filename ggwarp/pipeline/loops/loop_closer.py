@@ -161,9 +161,11 @@ class LoopCloser(Stateful):
     def _tracked(self, b: int, result: TrackResult) -> MeasuredMotion:
         """Return the motion since the last place as it was tracked."""
         T_ab = se3.inverse(self._places[b - 1].T_wc) @ self._places[b].T_wc
-        covariance = _UNKNOWN**2 * np.eye(6)
-        if result.information is not None and np.linalg.eigvalsh(result.information)[0] > 0.0:
-            covariance = 2.0 * np.linalg.inv(result.information)  # both ends
+        # What nothing is known of is not certain to be there, either: a wall leaves two directions open.
+        information = np.eye(6) / _UNKNOWN**2
+        if result.information is not None:
+            information = information + 0.5 * result.information  # both ends
+        covariance = np.linalg.inv(information)
         size = np.linalg.norm(se3.se3_log(T_ab))
         deviation = _LOOSENESS + _TRACKING_SLACK * float(size)
         covariance = covariance + deviation**2 * np.eye(6)

@@ -30,10 +30,10 @@ def made():
     return LoopCloser(OFFICE.camera, OFFICE.camera, lambda z: 0.001 + 0.002 * z * z, least_move=0.025)
 
 
-def tracked(T_wc, depth, verdict=Verdict.CONVERGED):
+def tracked(T_wc, depth, verdict=Verdict.CONVERGED, information=None):
     points = np.tile(np.float32([0, 0, depth]), (3, 1))
     seen = FramePoints(points, points, points, points[:, 0], points[:, 0])
-    return TrackResult(T_wc, verdict, points=seen)
+    return TrackResult(T_wc, verdict, points=seen, information=information)
 
 
 def walk(frames, drift, closer=None, order=WALK):
@@ -75,6 +75,15 @@ def test_a_place_seen_again_takes_the_drift_away(drifted):
     drift = float(np.linalg.norm(without[:3, 3] - true[-1, :3, 3]))
     assert drift > 0.15 and errors(true, estimated)[-1] < 0.25 * drift
     np.testing.assert_allclose(estimated[0], true[0], atol=1e-5)  # the world stays where it is
+
+
+@pytest.mark.parametrize("known", [np.zeros(6), [0, 0, 1e7, 1e7, 1e7, 0], [1e-14, 0, 1e9, 1e9, 1e9, -1e-9]])
+def test_tracking_before_a_wall_says_nothing_along_it(frames, known):
+    closer = made()
+    for step, i in enumerate(WALK[:6]):
+        frame = dataclasses.replace(frames[i], index=step, T_wc=None)
+        result = tracked(frames[i].T_wc, 2.0, information=np.diag(np.float64(known)))
+        assert closer.observe(frame, result) is None
 
 
 def test_without_drift_nothing_is_moved(frames):
