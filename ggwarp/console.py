@@ -170,7 +170,8 @@ class PlainDisplay:
         if now - self._shown < self._interval and self._done != self._total:
             return
         self._shown = now
-        parts = [f"{self._name}: {self._done}/{self._total}", status]
+        of = "" if self._total is None else f"/{self._total}"
+        parts = [f"{self._name}: {self._done}{of}", status]
         if self._total is not None and self._done < self._total:
             parts.append(f"{(now - self._started) / self._done * (self._total - self._done):.0f} s left")
         self.note(", ".join(p for p in parts if p))
