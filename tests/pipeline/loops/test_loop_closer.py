@@ -77,12 +77,20 @@ def test_a_place_seen_again_takes_the_drift_away(drifted):
     np.testing.assert_allclose(estimated[0], true[0], atol=1e-5)  # the world stays where it is
 
 
-@pytest.mark.parametrize("known", [np.zeros(6), [0, 0, 1e7, 1e7, 1e7, 0], [1e-14, 0, 1e9, 1e9, 1e9, -1e-9]])
-def test_tracking_before_a_wall_says_nothing_along_it(frames, known):
+RANK_FIVE = np.random.default_rng(12).integers(-1, 2, (6, 5)).astype(np.float64)
+"""Its square has no inverse, though rounding gives it six positive eigenvalues."""
+
+
+@pytest.mark.parametrize(
+    "information",
+    [np.zeros((6, 6)), np.diag([0, 0, 1e7, 1e7, 1e7, 0]), RANK_FIVE @ RANK_FIVE.T],
+    ids=["nothing", "a wall", "rank five"],
+)
+def test_tracking_before_a_wall_says_nothing_along_it(frames, information):
     closer = made()
     for step, i in enumerate(WALK[:6]):
         frame = dataclasses.replace(frames[i], index=step, T_wc=None)
-        result = tracked(frames[i].T_wc, 2.0, information=np.diag(np.float64(known)))
+        result = tracked(frames[i].T_wc, 2.0, information=information)
         assert closer.observe(frame, result) is None
 
 
