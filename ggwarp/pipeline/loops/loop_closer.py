@@ -19,7 +19,7 @@ from ggwarp.geometry.pose_correction import PoseCorrection
 from ggwarp.pipeline.loops.feature_alignment import DepthNoise, FeatureAligner
 from ggwarp.pipeline.loops.features import FeatureExtractor, match_features
 from ggwarp.pipeline.loops.places import SEPARATE, Place, candidates, far_enough
-from ggwarp.pipeline.loops.pose_graph import MeasuredMotion, optimise_poses
+from ggwarp.pipeline.loops.pose_graph import MeasuredMotion, is_positive, optimise_poses
 from ggwarp.pipeline.loops.recognition import VisualIndex
 from ggwarp.pipeline.tracking.relocalisation import SmallViews
 from ggwarp.runtime.state import Stateful, state_value
@@ -54,6 +54,9 @@ _UNKNOWN = 0.02
 _MEMORY = 10
 """A loop waits for a second opinion while so many places come."""
 
+_PAUSE = 5
+"""The pose graph is solved after so many places at the earliest: its cost grows with the walk."""
+
 _AGREEMENT = 0.3
 """Two loops say the same where their corrections differ by less than this share of them."""
 
@@ -87,7 +90,7 @@ class LoopCloser(Stateful):
         seconds: spent so far.
     """
 
-    STATE = ("_looks", "_places", "_motions", "_waiting", "_searched", "_doubtful", "seconds")
+    STATE = ("_looks", "_places", "_motions", "_waiting", "_searched", "_solved", "_doubtful", "seconds")
 
     def __init__(
         self, camera: Camera, sensor_camera: Camera, depth_noise: DepthNoise, *, least_move: float
@@ -107,7 +110,7 @@ class LoopCloser(Stateful):
         self._places: list[Place] = []
         self._motions: list[MeasuredMotion] = []
         self._waiting: list[MeasuredMotion] = []
-        self._searched = 0
+        self._searched = self._solved = 0
         self._doubtful = False
         self.seconds = 0.0
 
@@ -163,7 +166,7 @@ class LoopCloser(Stateful):
         T_ab = se3.inverse(self._places[b - 1].T_wc) @ self._places[b].T_wc
         # What nothing is known of is not certain to be there, either: a wall leaves two directions open.
         information = np.eye(6) / _UNKNOWN**2
-        if result.information is not None:
+        if result.information is not None and np.isfinite(result.information).all():
             information = information + 0.5 * result.information  # both ends
         covariance = np.linalg.inv(information)
         size = np.linalg.norm(se3.se3_log(T_ab))
@@ -181,6 +184,8 @@ class LoopCloser(Stateful):
         found = self._aligner.align(one.pixels[rows], one.points[rows], other.points[columns], seed=(a, b))
         if found is None or found.count < max(least, _INLIER_SHARE * len(matches)):
             return None
+        if not is_positive(found.information):
+            return None  # features in a line or a spot
         covariance = np.linalg.inv(found.information) + _LOOSENESS**2 * np.eye(6)
         return MeasuredMotion(a, b, found.T_ab, covariance)
 
@@ -202,8 +207,9 @@ class LoopCloser(Stateful):
         newest = len(self._places) - 1
         self._waiting = [m for m in self._waiting if newest - m.b <= _MEMORY]
         confirmed = [m for m in self._waiting if any(self._confirms(other, m) for other in self._waiting)]
-        if not any(m.b == newest for m in confirmed):
+        if not confirmed or newest - self._solved < _PAUSE:
             return None
+        self._solved = newest
         before = np.stack([p.T_wc for p in self._places])
         after = optimise_poses(before, [*self._motions, *confirmed])
         motions = after @ np.linalg.inv(before)

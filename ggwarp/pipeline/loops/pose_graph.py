@@ -28,6 +28,9 @@ _ITERATIONS = 30
 _TOLERANCE = 1e-4
 """The solution is found when a step lowers the error by a smaller share."""
 
+_SINGULAR = 1e-10
+"""An information whose smallest eigenvalue is a smaller share of the largest leaves a direction open."""
+
 _GTSAM_ORDER = np.array([3, 4, 5, 0, 1, 2])
 """GTSAM's twists are (rotation, translation)."""
 
@@ -54,6 +57,14 @@ class MeasuredMotion:
     b: int
     T_ab: Float64
     covariance: Float64
+
+
+def is_positive(information: Float64) -> bool:
+    """Return whether ``information`` [6, 6] is finite and fixes all of a motion: it has an inverse."""
+    if not np.isfinite(information).all():
+        return False
+    values = np.linalg.eigvalsh(information)
+    return bool(values[0] > _SINGULAR * values[-1])
 
 
 def optimise_poses(poses: Float64, motions: Sequence[MeasuredMotion]) -> Float64:

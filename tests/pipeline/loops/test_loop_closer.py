@@ -118,3 +118,13 @@ def test_one_picture_out_of_place_moves_nothing(frames):
     strange = dataclasses.replace(frames[5], index=len(outward), T_wc=None)
     T = estimated[-1] @ se3.se3_exp([2.0, 0, 0, 0, 1.0, 0])
     assert closer.observe(strange, tracked(T, 2.0)) is None
+
+
+@pytest.mark.parametrize(
+    "information", [np.zeros((6, 6)), np.diag([0, 1.0, 1, 1, 1, 1]), np.full((6, 6), np.nan)]
+)
+def test_a_frame_that_can_slide_is_a_place_all_the_same(frames, information):
+    closer = made()
+    for step, i in enumerate(WALK[:3]):
+        result = dataclasses.replace(tracked(frames[i].T_wc, 2.0), information=information)
+        assert closer.observe(dataclasses.replace(frames[i], index=step, T_wc=None), result) is None

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from ggwarp.geometry import se3
-from ggwarp.pipeline.loops.pose_graph import MeasuredMotion, optimise_poses
+from ggwarp.pipeline.loops.pose_graph import MeasuredMotion, is_positive, optimise_poses
 
 pytest.importorskip("gtsam", reason="no wheels for this Python")
 
@@ -81,3 +81,10 @@ def test_it_repeats_to_the_bit():
     poses, motions = drifting(circle())
     motions.append(motion(circle(), 0, N - 1))
     np.testing.assert_array_equal(optimise_poses(poses, motions), optimise_poses(poses, motions))
+
+
+def test_only_information_that_fixes_all_of_a_motion_has_a_covariance():
+    assert is_positive(np.diag([1.0, 2.0, 3.0, 1e3, 1e4, 1e5]))
+    slides = np.diag([0.0, 2.0, 3.0, 1.0, 1.0, 1.0])
+    for bad in (slides, slides + 1e-13, -np.eye(6), np.zeros((6, 6)), np.full((6, 6), np.nan)):
+        assert not is_positive(bad)
