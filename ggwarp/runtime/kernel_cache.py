@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import errno
 import hashlib
 import json
 import logging
@@ -34,7 +35,9 @@ _BINARIES = (".o", ".cubin", ".ptx")
 _ELF = b"\x7fELF\x02\x01"  # 64 bits, the lowest byte first: what Warp compiles to, wherever it runs
 _NO_BITS = 8  # a section that takes no bytes of the file
 _PROBE = 1 << 18
-"""Bytes, more than any module compiled for a CPU has."""
+"""Bytes, more than any module takes that is compiled for a CPU, its source included."""
+_FILES = 8
+"""More files than a module has while it is compiled."""
 
 _log = logging.getLogger(__name__)
 _lock = threading.Lock()
@@ -113,12 +116,18 @@ def clear_builds() -> None:
                 shutil.rmtree(path, ignore_errors=True)
 
 
-def why_not_writable() -> OSError | None:
-    """Return what keeps the cache from taking one more module; None: nothing does."""
+def why_not_writable(modules: int = 1) -> OSError | None:
+    """Return what keeps the cache from taking so many more modules; None: nothing does.
+
+    It must be asked beforehand: on a full disk the compiler ends the program.
+    """
     folder = Path(str(wp.config.kernel_cache_dir))
     try:
         with tempfile.TemporaryDirectory(prefix="probe-", dir=folder) as inside:
-            (Path(inside) / "probe").write_bytes(bytes(_PROBE))
+            (Path(inside) / "probe").write_bytes(bytes(_PROBE * modules))
+            status = os.statvfs(inside) if hasattr(os, "statvfs") else None
+            if status is not None and 0 < status.f_files and status.f_favail < _FILES * modules:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     except OSError as error:
         return OSError(error.errno, error.strerror, str(folder))
     return None

@@ -163,6 +163,9 @@ def load(modules: list[Any], device: Any) -> None:
             _remove_damaged(cold, _block_dim(device))
         except OSError as error:
             kernel_cache.use_temporary(cache, error)
+        for _ in range(2):  # the cache, and the temporary one
+            if full := kernel_cache.why_not_writable(len(cold)) if cold else None:
+                kernel_cache.use_temporary(str(wp.config.kernel_cache_dir), full)
         _load_all(cold, device)
 
 
