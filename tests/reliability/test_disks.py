@@ -79,8 +79,8 @@ def test_small_disks(start, contents, tmp_path: Path, which: tuple[str, ...]) ->
         now = contents(tops[0] / "run") if (tops[0] / "run").exists() else {}
         if run.returncode == 0:
             assert len(load_run(tops[0] / "run").poses) == 4, where
-        elif there:
-            assert now == earlier, where
+        elif there:  # a whole one may have taken its place, and its renders have had no room
+            assert now == earlier or len(load_run(tops[0] / "run").poses) == 4, where
         if run.returncode == 2:  # before any work
             assert len([line for line in errors.splitlines() if not line.startswith("warning")]) == 1, where
         else:  # a disk of the machine's own is always among the places
