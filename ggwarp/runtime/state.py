@@ -79,8 +79,13 @@ _VALUES: dict[str, type] = {}
 
 
 def state_value(cls: T) -> T:
-    """Register a dataclass or an enumeration whose values may be part of a state."""
-    _VALUES[cls.__name__] = cls
+    """Register a dataclass or an enumeration whose values may be part of a state.
+
+    Raises:
+        ValueError: another one has that name.
+    """
+    if _VALUES.setdefault(cls.__name__, cls) is not cls:
+        raise ValueError(f"{cls.__name__}: {_VALUES[cls.__name__].__module__} has one of that name already")
     return cls
 
 

@@ -19,7 +19,7 @@ from ggwarp.types import Frame, Verdict
 
 @state_value
 @dataclass(frozen=True)
-class Place:
+class Shelf:
     name: str
     position: np.ndarray
     visits: int = 0
@@ -34,7 +34,7 @@ class Walker(Stateful):
         self.steps, self.seen = 0, set[int]()
         self.recent: deque[tuple[int, np.ndarray]] = deque(maxlen=2)
         self.counts: Counter[tuple[int, int]] = Counter()
-        self.places: list[Place] = []
+        self.places: list[Shelf] = []
         self.by_id: dict[int, Any] = {}
         self.rng = np.random.default_rng(1)
         self.array = wp.zeros(3, dtype=vec16, device=device)
@@ -66,11 +66,17 @@ def walked(device: str) -> Walker:
             w.recent.append((i, np.full(2, i)))
         w.counts[4, 2] = 5
         w.counts[1, 1] = 1
-        w.places = [Place("a", np.zeros((2, 3))), Place("b", np.ones((0, 3)), 4)]
+        w.places = [Shelf("a", np.zeros((2, 3))), Shelf("b", np.ones((0, 3)), 4)]
         w.by_id = {9: [Verdict.LOST, {1, 2}], 2: "two", 5: {"text": (1.0, None)}}
         w.rng.random(3)
         w.array.assign(np.arange(48, dtype=np.float32).reshape(3, 16))
     return walker
+
+
+def test_two_of_one_name_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"Shelf: .* has one of that name already"):
+        state_value(dataclass(type("Shelf", (), {})))
+    assert state_value(Shelf) is Shelf
 
 
 def test_every_kind_comes_back(device: str) -> None:
