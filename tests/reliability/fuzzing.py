@@ -17,7 +17,6 @@ import json
 import os
 import pickle
 import random
-import resource
 import sys
 import tarfile
 import tempfile
@@ -46,6 +45,7 @@ from ggwarp.io.trajectory import write_tum
 from ggwarp.map.gaussians import Gaussians
 from ggwarp.objects.inventory import inventory
 from ggwarp.objects.linear_classifier import LinearClassifier, write_classifier
+from ggwarp.results.metrics import peak_memory_mb
 
 Files = dict[str, bytes]
 Damage = Callable[[random.Random, bytes], bytes]
@@ -303,7 +303,7 @@ def main() -> int:
             "outcomes": dict(sorted(campaign.outcomes.items())),
             "escaped": campaign.escaped,
             "code_was_run": os.path.exists(Canary.place),
-            "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss >> 10,
+            "peak_mb": round(peak_memory_mb() or 0.0),
             "slowest_cpu_s": round(campaign.slowest, 3),
             "cpu_s": round(time.process_time(), 1),
         }
