@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Shared fixtures: devices, generators, the folder of real recordings."""
 
+import logging
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,15 @@ def campaign(request: pytest.FixtureRequest) -> bool:
 @pytest.fixture(params=DEVICES)
 def device(request: pytest.FixtureRequest) -> str:
     return request.param
+
+
+@pytest.fixture(autouse=True)
+def log_as_it_was() -> Iterator[None]:
+    """Take back where a test has let the package log to: its streams end with it."""
+    log = logging.getLogger("ggwarp")
+    handlers, level = list(log.handlers), log.level
+    yield
+    log.handlers, log.level = handlers, level
 
 
 @pytest.fixture
