@@ -76,7 +76,7 @@ def open_realsense(which: str) -> LiveSequence:
     """
     name = f"realsense:{printable(which)}"
     try:
-        import pyrealsense2
+        import pyrealsense2  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         raise DatasetError(
             f"--seq {name}: needs pyrealsense2; pip install 'ggwarp[realsense]' ({printable(str(error))})"
