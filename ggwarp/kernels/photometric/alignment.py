@@ -8,8 +8,11 @@ the observing camera, is compared with what is seen there:
 
 for each colour c, with exposure (a, b), and for the depth reading y nearest to x, against the rendered
 surface's normal n. Colour may be left out where the reading nearest to pi(x) is of another surface: p is
-hidden there, or was never what it seems. T_cw <- Exp(tau) T_cw, tau = (v, w), moves x by v + w x x. Standard
-deviations and Geman-McClure's kernel weigh both. Sums go piece of a row -> system in a fixed order.
+hidden there, or was never what it seems. So is then what is flat: a gradient of no more than the noise of two
+pixels, in three colours and both directions, would hold the camera where it is.
+
+T_cw <- Exp(tau) T_cw, tau = (v, w), moves x by v + w x x. Standard deviations and Geman-McClure's kernel
+weigh both. Sums go piece of a row -> system in a fixed order.
 """
 
 from typing import Any
@@ -32,7 +35,11 @@ SUMS = 46
 """Numbers of a system: 36 of the upper triangle of H by rows, 8 of the gradient, the robust cost of colour,
 the pixels whose colour is compared."""
 
+_PIXEL_NOISE = 0.01
+"""Standard deviation of a picture's colour, 0..1: a camera's noise and JPEG's."""
+
 _PIECE = wp.constant(PIECE)
+_LEAST_GRADIENT2 = wp.constant(12.0 * _PIXEL_NOISE**2)
 vec46 = wp.types.vector(SUMS, wp.float32)
 _NEAR = wp.constant(0.05)
 
@@ -120,13 +127,17 @@ def _add_pixel(
         b = observed[i, j + 1]
         c = observed[i + 1, j]
         d = observed[i + 1, j + 1]
-        across = camera.fx * iz * wp.lerp(b - a, d - c, t)
-        down = camera.fy * iz * wp.lerp(c - a, d - b, s)
-        bright = gain * seen
-        error = bright + wp.vec4(bias) - wp.lerp(wp.lerp(a, b, s), wp.lerp(c, d, s), t)
+        across = wp.lerp(b - a, d - c, t)
+        down = wp.lerp(c - a, d - b, s)
         # The fourth channel is depth.
         across[3] = 0.0
         down[3] = 0.0
+        if agreement > 0.0 and wp.dot(across, across) + wp.dot(down, down) < _LEAST_GRADIENT2:
+            return total
+        across = camera.fx * iz * across
+        down = camera.fy * iz * down
+        bright = gain * seen
+        error = bright + wp.vec4(bias) - wp.lerp(wp.lerp(a, b, s), wp.lerp(c, d, s), t)
         bright[3] = 0.0
         error[3] = 0.0
         precision = 1.0 / (noise * noise)
@@ -263,7 +274,7 @@ def linearise(
             share of the cost; relative jump of depth within a pixel that makes an edge; standard deviation of
             depth, metres, 0 where depth is not compared.
         agreement: colour is compared where the observed depth differs by no more than this share of the
-            expected one; 0: everywhere.
+            expected one, and the picture is not flat; 0: everywhere.
         sums: [>= item_count(h, w), SUMS] float, scratch.
         system: [SUMS] float64, written; see :data:`SUMS`.
     """

@@ -131,18 +131,35 @@ def test_normal_equations_are_those_of_the_residuals(device: str, rng: np.random
     np.testing.assert_allclose(out[36:44], g, rtol=2e-3, atol=2e-4 * np.abs(g).max())
 
 
-def test_colour_of_another_surface_is_left_out(device: str, rng: np.random.Generator) -> None:
+def ramp(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Views of one place, with depth, whose colours rise everywhere."""
     rendered, observed = views(rng)
-    observed[..., 3] = rendered[5, 0, 3] + 0.004 * np.arange(CAMERA.width)
-    observed[:, 50:, 3] += 0.7
+    observed[..., :3] = 0.03 * np.arange(CAMERA.width)[:, None]
+    observed[..., 3] = rendered[..., 3].max(axis=0)
+    return rendered, observed
+
+
+def test_colour_of_another_surface_is_left_out(device: str, rng: np.random.Generator) -> None:
+    rendered, observed = ramp(rng)
     everywhere = system(rendered, observed, np.eye(4), device)
     np.testing.assert_array_equal(system(rendered, observed, np.eye(4), device, agreement=0.1), everywhere)
     observed[:, 10:14, 3] = 0.0
     observed[:, 30:36, 3] = 1.0
     some = system(rendered, observed, np.eye(4), device, agreement=0.1)
-    pixels = compared(rendered)
-    hidden = ((pixels[:, 1] >= 10) & (pixels[:, 1] < 14)) | ((pixels[:, 1] >= 30) & (pixels[:, 1] < 36))
+    column = compared(rendered)[:, 1]
+    hidden = ((column >= 10) & (column < 14)) | ((column >= 30) & (column < 36))
     assert some[45] == everywhere[45] - hidden.sum() < everywhere[45]
+
+
+def test_what_is_flat_says_nothing_of_the_pose(device: str, rng: np.random.Generator) -> None:
+    rendered, observed = ramp(rng)
+    everywhere = system(rendered, observed, np.eye(4), device, agreement=0.1)
+    observed[:, 25:41, :3] = 0.5 + 0.01 * rng.uniform(-1, 1, (CAMERA.height, 16, 3))  # noise alone
+    some = system(rendered, observed, np.eye(4), device, agreement=0.1)
+    column = compared(rendered)[:, 1]
+    inside, about = ((column >= 25 + k) & (column < 40 - k) for k in (1, -1))
+    assert inside.sum() <= everywhere[45] - some[45] <= about.sum()
+    assert system(rendered, observed, np.eye(4), device)[45] == everywhere[45], "where it is not asked"
 
 
 def test_depth_adds_point_to_plane_residuals(device: str, rng: np.random.Generator) -> None:
