@@ -217,6 +217,11 @@ class Saver:
         arrays = slam.map_arrays()
         self._gaussians = len(arrays)
         run_folder.write_map(self._folder.path, arrays)
+        reports = self._record.reports
+        self.attempt(
+            "saving the first view",
+            lambda: run_folder.write_first_view(self._folder.path, arrays, slam.camera, reports),
+        )
 
     def _save_metrics(self) -> None:
         wall_s = time.perf_counter() - self._started

@@ -49,6 +49,11 @@ def test_the_map_knows_its_objects(first):
         assert entry["count"] == np.count_nonzero(gaussians.object_ids == entry["id"])
 
 
+def test_it_is_known_which_way_is_up(first):
+    view = json.loads((first / "view.json").read_text())
+    assert view["up_source"] == "surfaces" and view["up"] == pytest.approx([0.0, 0.0, 1.0], abs=0.05)
+
+
 def test_the_file_alone_renders_the_same_picture(first):
     rows = read_ply(first / "map.ply")
     gaussians = GaussianMap(device="cpu", has_identity=False)

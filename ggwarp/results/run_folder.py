@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The run folder: what a run leaves, file by file.
 
-``trajectory.txt``, ``trajectory_live.txt``, ``trajectory_gt.txt``, ``map.ply``, ``objects.json``,
-``classifier.npz``, ``metrics.json``, ``frames.csv``, ``object_scores.csv`` and ``renders/``; the command adds
-``config.toml`` and ``camera.json``.
+``trajectory.txt``, ``trajectory_live.txt``, ``trajectory_gt.txt``, ``map.ply``, ``view.json``,
+``objects.json``, ``classifier.npz``, ``metrics.json``, ``frames.csv``, ``object_scores.csv`` and
+``renders/``; the command adds ``config.toml`` and ``camera.json``.
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
+
+import numpy as np
 
 from ggwarp.geometry.camera import Camera
 from ggwarp.io.camera import write_camera
@@ -24,7 +26,8 @@ from ggwarp.objects.inventory import ObjectRecord
 from ggwarp.objects.linear_classifier import LinearClassifier, write_classifier
 from ggwarp.results.metrics import ate_per_frame
 from ggwarp.results.record import RunRecord
-from ggwarp.types import Float64, StepReport
+from ggwarp.results.scene_view import describe_view, write_view
+from ggwarp.types import Float64, StepReport, Verdict
 
 OUTPUTS = (
     "config.toml",
@@ -33,6 +36,7 @@ OUTPUTS = (
     "trajectory_live.txt",
     "trajectory_gt.txt",
     "map.ply",
+    "view.json",
     "objects.json",
     "classifier.npz",
     "metrics.json",
@@ -110,6 +114,15 @@ def write_map(folder: Path, gaussians: Gaussians) -> None:
     write_ply(folder / "map.ply", gaussians)
 
 
+def write_first_view(
+    folder: Path, gaussians: Gaussians, camera: Camera, reports: Sequence[StepReport]
+) -> None:
+    """Write ``view.json``, by the frames that are not lost, if there are any; nothing without frames."""
+    poses = [r.T_wc for r in reports if r.verdict is not Verdict.LOST] or [r.T_wc for r in reports]
+    if poses:
+        write_view(folder, describe_view(gaussians, camera, np.stack(poses)))
+
+
 def write_objects(folder: Path, objects: list[ObjectRecord]) -> None:
     """Write ``objects.json``."""
     write_json(folder / "objects.json", {"objects": [record.to_json() for record in objects]})
@@ -146,9 +159,12 @@ def write_system(folder: Path, system: System, names: dict[int, str]) -> None:
     """
     folder.mkdir(parents=True, exist_ok=True)
     poses = system.fitted_poses()
-    write_trajectory(folder, [replace(r, T_wc=poses[r.index]) for r in system.reports])
+    reports = [replace(r, T_wc=poses[r.index]) for r in system.reports]
+    gaussians = system.map_arrays()
+    write_trajectory(folder, reports)
     write_camera(folder / "camera.json", system.camera)
-    write_map(folder, system.map_arrays())
+    write_map(folder, gaussians)
+    write_first_view(folder, gaussians, system.camera, reports)
     write_objects(folder, system.objects(names))
     write_identities(folder, system.linear_classifier())
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ggwarp.geometry.camera import Camera
+from ggwarp.geometry.upright import Up
 from ggwarp.io.camera import read_camera, write_camera
 from ggwarp.io.guarded import OBJECTS, FileError, read_json
 from ggwarp.io.json import write_json
@@ -19,10 +20,11 @@ from ggwarp.io.trajectory import read_tum
 from ggwarp.map.gaussians import Gaussians
 from ggwarp.objects.inventory import ObjectRecord, inventory, refreshed
 from ggwarp.objects.linear_classifier import LinearClassifier, read_classifier, write_classifier
+from ggwarp.results.scene_view import FILE, SceneView, describe_view, read_view
 from ggwarp.types import Float64
 
 _NEEDED = ("map.ply", "camera.json", "trajectory.txt")
-_COPIED = ("config.toml", "trajectory.txt", "trajectory_gt.txt")
+_COPIED = ("config.toml", "trajectory.txt", "trajectory_gt.txt", "view.json")
 
 
 class RunError(ValueError):
@@ -69,6 +71,22 @@ class SavedRun:
                 ids = ", ".join(str(o.id) for o in matches)
                 raise RunError(f"{name}: {len(matches)} objects have this name; give one of the ids {ids}")
         raise RunError(f"{name}: {self.folder} has no such object; `list` shows those there are")
+
+    def scene_view(self, up: Up | None = None) -> SceneView:
+        """Return how the map is shown: as ``view.json`` says, or estimated where there is none.
+
+        Args:
+            up: where it is known better, as by ``--up``.
+
+        Raises:
+            RunError: ``view.json`` is damaged.
+        """
+        if up is not None or not (self.folder / FILE).is_file():
+            return describe_view(self.gaussians, self.camera, self.poses, up)
+        try:
+            return read_view(self.folder)
+        except FileError as error:
+            raise RunError(str(error)) from None
 
     def edited(self, gaussians: Gaussians, edit: dict[str, Any]) -> SavedRun:
         """Return this run with ``gaussians`` for a map, its objects described anew, and ``edit`` recorded."""
