@@ -117,7 +117,8 @@ class Session:
         self._indices = frame_indices(config.frames, len(dataset))
         self._name = seq if dataset.kind == "synthetic" else dataset.name
         self.folder = staged_folder(config, self._resumed, self._name)
-        self._plan = (plan := plan_sequence(self._dataset, self._indices)).to_json()
+        plan = plan_sequence(self._dataset, self._indices, tracked_masks=config.slam.masks_kind == "tracked")
+        self._plan = plan.to_json()
         for line in (*plan.lines(), *messages.introduction(asked, config, dataset, len(self._indices))):
             display.note(line)
         for line in plan.warnings:

@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+import re
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,9 +14,10 @@ import numpy as np
 from ggwarp.datasets.base import Dataset, DatasetError, FrameError, MaskChoice, Masks, at_scale
 from ggwarp.datasets.formats.mask_checks import interpolated, too_many_ids, without_edges
 from ggwarp.datasets.formats.mask_file import Ids, read_mask_file
+from ggwarp.datasets.images import shown_size, size_of
 from ggwarp.datasets.pairing import in_order, pair_files
 from ggwarp.datasets.resize import resize_labels
-from ggwarp.datasets.source import contents
+from ggwarp.datasets.source import contents, source_of
 from ggwarp.geometry.camera import Camera
 from ggwarp.types import Frame
 
@@ -24,6 +26,7 @@ log = logging.getLogger(__name__)
 MASK_FOLDERS = ("object_mask", "Annotations")
 VOID = -1
 """Of pixels that say nothing: neither an object nor none."""
+_LIKE_MASKS = re.compile(r"(?i)mask|seg|instance|label")
 _SAMPLES = 5  # masks that are looked at when a folder is opened
 _SAME_SHAPE = 0.02  # of the aspect: the rounding of a small mask
 
@@ -35,6 +38,7 @@ class MaskFolder:
         folder: where they are.
         void: ids of pixels that say nothing.
         clean_edges: whether ids that lie only along edges are left out: the masks were interpolated.
+        notes: what is odd about them, a line each.
     """
 
     def __init__(
@@ -52,11 +56,11 @@ class MaskFolder:
             void: ids of pixels that say nothing.
 
         Raises:
-            DatasetError: they are of another shape than the frames, or no masks at all.
+            DatasetError: they are of another shape than the frames, none can be read, or they are no masks.
         """
         self.folder = folder
         self.void = tuple(sorted(set(void)))
-        self._found, self._by, self._notes = _matched(folder, stems)
+        self._found, self._by, self.notes = _matched(folder, stems)
         self._warned: set[str] = set()
         self._forms: set[str] = set()
         self._size = size
@@ -89,7 +93,7 @@ class MaskFolder:
         try:
             ids = read_mask_file(path).ids
         except FrameError as error:
-            log.warning("%s: frame %d goes without a mask", error, index)
+            self._warn_once(str(path), f"{error}: frame {index} goes without a mask")
             return None
         for kind, fault in (("shape", self._shape_fault(ids)), ("ids", too_many_ids(ids))):
             if fault:
@@ -106,7 +110,7 @@ class MaskFolder:
         """Look at a few masks, spread over the sequence, and at what they have in common.
 
         Raises:
-            DatasetError: all of them are of another shape than the frames, or pictures of something else.
+            DatasetError: all of them are of another shape than the frames, damaged, or something else.
         """
         present = [path for path in self._found if path is not None]
         places = np.linspace(0, len(present) - 1, min(_SAMPLES, len(present))).astype(int)
@@ -115,8 +119,10 @@ class MaskFolder:
         for path in chosen:
             try:
                 mask = read_mask_file(path)
-            except FrameError:
-                continue  # told when its frame is read
+            except FrameError as error:
+                if len(chosen) > 1:  # a single one may be damaged
+                    faults.append(str(error))
+                continue
             self._forms.add(mask.form)
             if fault := self._shape_fault(mask.ids) or too_many_ids(mask.ids):
                 faults.append(f"{path}: {fault}")
@@ -124,20 +130,13 @@ class MaskFolder:
                 masks.append(mask.ids)
         if faults and not masks:
             raise DatasetError(f"{faults[0]}; --masks none does without")
-        for note in self._notes:
-            log.warning("%s: %s", self.folder, note)
+        self.notes = [f"{self.folder}: {note}" for note in self.notes]
         if reason := interpolated(masks):
             self.clean_edges = True
-            log.warning("%s: %s", self.folder, reason)
-        if self._size is not None and masks and masks[0].shape != self._size[::-1]:
-            height, width = masks[0].shape
-            log.warning(
-                "%s: %dx%d, but the colour image is %dx%d; masks are resampled",
-                chosen[0],
-                width,
-                height,
-                *self._size,
-            )
+            self.notes.append(f"{self.folder}: {reason}")
+        if self._size is not None and masks and size_of(masks[0]) != self._size:
+            sizes = f"{shown_size(size_of(masks[0]))}, but the colour image is {shown_size(self._size)}"
+            self.notes.append(f"{chosen[0]}: {sizes}; masks are resampled")
 
     def _shape_fault(self, ids: Ids) -> str:
         if self._size is None:
@@ -161,8 +160,7 @@ def _matched(folder: Path, stems: Sequence[str]) -> tuple[list[Path | None], str
         pairing = pair_files([Path(f"{stem}.png") for stem in stems], files, "images", "masks")
     except DatasetError:
         return [None] * len(stems), "name", []
-    notes = pairing.notes if pairing.by == "order" else []
-    return [files[i] if i >= 0 else None for i in pairing.partners], pairing.by, notes
+    return [files[i] if i >= 0 else None for i in pairing.partners], pairing.by, pairing.notes
 
 
 class WithMasks:
@@ -177,6 +175,8 @@ class WithMasks:
         self.inner = dataset
         self.class_names: dict[int, str] = getattr(dataset, "class_names", {})
         self.masks_text = masks.text
+        source = source_of(dataset)
+        self.source = replace(source, notes=(*source.notes, *masks.notes))
         self._masks = masks
 
     def __len__(self) -> int:
@@ -221,17 +221,22 @@ def find_masks(
     where, void = choice.where, choice.void
     if where is not None:
         return None if str(where) == "none" else open_masks(Path(where), stems, size=size, void=void)
-    folders = [sequence / name for name in MASK_FOLDERS]
-    found = _first_with_masks(folders, stems, size, void)
-    if found is None:
-        for folder in folders:
-            if folder.is_dir() and any(folder.iterdir()):
-                log.warning(
-                    "%s: holds %s, but no PNG with the name or number of an image: objects are not learnt",
-                    folder,
-                    contents(folder),
-                )
-    return found
+    return _first_with_masks([sequence / name for name in MASK_FOLDERS], stems, size, void)
+
+
+def masks_left_out(sequence: Path, stems: Sequence[str], masks: Masks = None) -> Iterator[str]:
+    """Yield what lies in ``sequence`` like masks, though :func:`find_masks` of the same found none."""
+    if MaskChoice.of(masks).where is not None:
+        return
+    for folder in sorted(path for path in sequence.iterdir() if path.is_dir()):
+        if folder.name in MASK_FOLDERS and any(folder.iterdir()):
+            yield (
+                f"{folder}: holds {contents(folder)}, but no PNG with the name or number of an image, one an "
+                "image: objects are not learnt"
+            )
+        elif _LIKE_MASKS.search(folder.name) and _has_masks(folder, stems):
+            names = " and ".join(f"{name}/" for name in MASK_FOLDERS)
+            yield f"{folder}: is not read; masks are looked for in {names}, or where --masks says"
 
 
 def open_masks(

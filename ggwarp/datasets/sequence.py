@@ -24,7 +24,7 @@ from ggwarp.datasets.images import (
     shown_size,
     size_of,
 )
-from ggwarp.datasets.masks import find_masks, find_true_masks, with_mask
+from ggwarp.datasets.masks import find_masks, find_true_masks, masks_left_out, with_mask
 from ggwarp.datasets.pairing import frame_numbers, in_order
 from ggwarp.datasets.resize import resize_labels
 from ggwarp.datasets.source import NO_SOURCE, Source
@@ -127,6 +127,10 @@ class FileSequence:
         size = (self.camera.width, self.camera.height)
         self._masks = find_masks(root, self.stems, masks, size=size)
         self._true_masks = find_true_masks(root, self.stems, self._masks, size=size)
+        folders = [folder for folder in (self._masks, self._true_masks) if folder is not None]
+        self._mask_notes = [note for folder in folders for note in folder.notes]
+        if self._masks is None and root.is_dir():
+            self._mask_notes = list(masks_left_out(root, self.stems, masks))
         self.masks_text = self._masks.text if self._masks else ""
         self.frames_with_depth = [i for i, entry in enumerate(entries) if entry.depth]
         self.has_depth = bool(self.frames_with_depth)
@@ -147,7 +151,7 @@ class FileSequence:
             source,
             camera=source.camera or calibration.origin,
             depth_unit=source.depth_unit or self._depth_unit(),
-            notes=(*source.notes, *calibration.notes),
+            notes=(*source.notes, *calibration.notes, *self._mask_notes),
             unread=unread,
         )
 
@@ -185,6 +189,12 @@ class FileSequence:
             FrameError: as indexing.
         """
         return self._depth(self._entries[index])
+
+    def mask_of(self, index: int) -> NDArray[np.int32] | None:
+        """Return frame ``index``'s mask [h, w] alone, as the frame has it; None where there is none."""
+        taken = self._entries[index].camera or self.camera
+        ids = self._seen(self._masks.read(index), taken) if self._masks else None
+        return None if ids is None else resize_labels(ids, self.camera.width, self.camera.height)
 
     def _seen(self, labels: NDArray[np.int32] | None, taken: Camera) -> NDArray[np.int32] | None:
         """Return labels drawn on pictures of the camera ``taken`` as the frames' camera sees them."""

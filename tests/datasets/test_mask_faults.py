@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from ggwarp.datasets import DatasetError, open_dataset
+from ggwarp.datasets.plan.sequence_plan import plan_sequence
+from ggwarp.datasets.source import source_of
 
 Maker = Callable[..., Path]
 
@@ -46,7 +48,7 @@ def test_one_mask_of_another_shape_costs_that_mask(
 
 
 def test_jpeg_masks_are_refused_with_the_reason(
-    make_folder: Maker, sample: SimpleNamespace, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    make_folder: Maker, sample: SimpleNamespace, tmp_path: Path
 ) -> None:
     folder = make_folder(2)
     for i in range(2):
@@ -54,8 +56,10 @@ def test_jpeg_masks_are_refused_with_the_reason(
     with pytest.raises(DatasetError, match=r"\(2 \.jpg\).*JPEG changes ids"):
         open_dataset(str(folder), data_root=folder, masks=tmp_path / "mine")
     (tmp_path / "mine").rename(folder / "object_mask")
-    assert not open_dataset(str(folder), data_root=folder).has_masks
-    assert "object_mask: holds 2 .jpg, but no PNG with the name or number of an image" in caplog.text
+    dataset = open_dataset(str(folder), data_root=folder)
+    assert not dataset.has_masks
+    (note,) = source_of(dataset).notes
+    assert "object_mask: holds 2 .jpg, but no PNG with the name or number of an image" in note
 
 
 def blocks(width: int, height: int) -> np.ndarray:
@@ -66,27 +70,68 @@ def blocks(width: int, height: int) -> np.ndarray:
 
 
 def test_ids_along_edges_of_interpolated_masks_are_none(
-    make_folder: Maker, sample: SimpleNamespace, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    make_folder: Maker, sample: SimpleNamespace, tmp_path: Path
 ) -> None:
     folder, small = make_folder(3), blocks(12, 8)
     for i in range(3):
         image = cv2.resize(small, (24, 16), interpolation=cv2.INTER_CUBIC)
         assert len(np.unique(image)) > 20
         sample.save(tmp_path / f"mine/{i}.png", image)
-    mask = open_dataset(str(folder), data_root=folder, masks=tmp_path / "mine")[0].mask
+    dataset = open_dataset(str(folder), data_root=folder, masks=tmp_path / "mine")
+    mask = dataset[0].mask
     assert mask is not None and set(np.unique(mask)) == {-1, 10, 20, 30, 40, 50, 60}
-    assert (mask[2:5, 2:6] == 10).all() and "ids have no pixel inside them" in caplog.text
+    assert (mask[2:5, 2:6] == 10).all()
+    assert any("ids have no pixel inside them" in warning for warning in plan_sequence(dataset).warnings)
 
 
-def test_thin_objects_alone_are_no_interpolation(
-    make_folder: Maker, sample: SimpleNamespace, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_thin_objects_alone_are_no_interpolation(make_folder: Maker, sample: SimpleNamespace) -> None:
     folder, ids = make_folder(1), blocks(24, 16)
     ids[3, :], ids[:, 5] = 99, 98
     sample.save(folder / "object_mask/0.png", ids)
+    dataset = open_dataset(str(folder), data_root=folder)
+    np.testing.assert_array_equal(dataset[0].mask, ids)
+    assert not plan_sequence(dataset).warnings
+
+
+@pytest.mark.parametrize("given", [True, False])
+def test_masks_of_which_none_can_be_read_are_refused(
+    make_folder: Maker, sample: SimpleNamespace, tmp_path: Path, given: bool
+) -> None:
+    folder = make_folder(2)
+    place = tmp_path / "mine" if given else folder / "object_mask"
+    for i in range(2):
+        sample.save(place / f"{i}.png", np.full((16, 24, 3), (1, 2, 3), np.uint16))
+    with pytest.raises(DatasetError, match=r"0\.png: 3 channels of uint16; RGB-coded.*--masks none"):
+        open_dataset(str(folder), data_root=folder, masks=place if given else None)
+
+
+def test_grey_of_16_bits_saved_as_rgb_is_grey(make_folder: Maker, sample: SimpleNamespace) -> None:
+    folder = make_folder(1)
+    sample.save(folder / "object_mask/0.png", np.full((16, 24, 3), 700, np.uint16))
     mask = open_dataset(str(folder), data_root=folder)[0].mask
-    np.testing.assert_array_equal(mask, ids)
-    assert not caplog.records
+    assert mask is not None and (mask == 700).all()
+
+
+def test_folders_that_look_like_masks_are_named(make_folder: Maker, sample: SimpleNamespace) -> None:
+    folder = make_folder(2)
+    for i in range(2):
+        sample.save(folder / f"instance/{i}.png", np.ones((16, 24), np.uint8))
+        sample.save(folder / f"rest/{i}.png", np.ones((16, 24), np.uint8))
+    dataset = open_dataset(str(folder), data_root=folder)
+    (note,) = source_of(dataset).notes
+    assert "instance: is not read; masks are looked for in object_mask/ and Annotations/" in note
+    for masks in ("none", str(folder / "instance")):
+        assert not source_of(open_dataset(str(folder), data_root=folder, masks=masks)).notes
+
+
+def test_fewer_masks_than_images_from_the_same_number_are_doubted(
+    make_folder: Maker, sample: SimpleNamespace
+) -> None:
+    folder = make_folder(6)
+    for i in range(3):
+        sample.save(folder / f"object_mask/{i}.png", np.ones((16, 24), np.uint8))
+    (note,) = source_of(open_dataset(str(folder), data_root=folder)).notes
+    assert "6 images and 3 masks, both numbered from 0 without gaps" in note
 
 
 def test_pictures_in_the_place_of_masks_are_refused(make_folder: Maker, sample: SimpleNamespace) -> None:

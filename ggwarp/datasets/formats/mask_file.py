@@ -67,13 +67,14 @@ def read_mask_file(path: Path) -> Mask:
         if image.dtype.kind not in "ui":
             raise FrameError(f"{path}: holds {image.dtype}; ids are whole numbers")
         return Mask(image.astype(np.int32), "one channel")
-    if image.dtype != np.uint8 or image.shape[2] < 3:
-        raise FrameError(
-            f"{path}: {image.shape[2]} channels of {image.dtype}; RGB-coded ids are 8 bits a channel"
-        )
+    fault = f"{path}: {image.shape[2]} channels of {image.dtype}; RGB-coded ids are 8 bits a channel"
+    if image.dtype.kind != "u" or image.shape[2] < 3:
+        raise FrameError(fault)
     blue, green, red = (image[..., channel].astype(np.int32) for channel in range(3))
     if np.array_equal(red, green) and np.array_equal(red, blue):
         return Mask(red, "grey in RGB")
+    if image.dtype != np.uint8:
+        raise FrameError(fault)
     return Mask(red + 256 * green + 65536 * blue, "RGB-coded")
 
 

@@ -15,6 +15,7 @@ from ggwarp.datasets.base import Dataset, DatasetError, FrameError, is_live
 from ggwarp.datasets.plan.camera_checks import camera_doubts, field_of_view
 from ggwarp.datasets.plan.correspondence import edges_of_depth, judge, neighbours
 from ggwarp.datasets.plan.depth_checks import depth_faults, depth_statistics
+from ggwarp.datasets.plan.mask_checks import mask_doubts
 from ggwarp.datasets.source import source_of
 from ggwarp.types import Frame
 
@@ -72,7 +73,11 @@ class SequencePlan:
 
 
 def plan_sequence(
-    dataset: Dataset, indices: Sequence[int] | None = None, *, pictures: bool = False
+    dataset: Dataset,
+    indices: Sequence[int] | None = None,
+    *,
+    pictures: bool = False,
+    tracked_masks: bool = True,
 ) -> SequencePlan:
     """Look at a few frames of ``dataset`` and say what it is taken for.
 
@@ -81,7 +86,8 @@ def plan_sequence(
 
     Args:
         indices: the frames that will be used; None: all.
-        pictures: also look at frames that have no depth to be checked.
+        pictures: also look at frames that have neither depth nor masks to be checked.
+        tracked_masks: whether a mask's id is to mean the same object in every frame.
 
     Raises:
         DatasetError: its depth cannot be what it is taken for.
@@ -91,7 +97,7 @@ def plan_sequence(
     if with_depth := set(_attribute(dataset, "frames_with_depth") or ()):
         used = [i for i in used if i in with_depth] or used
     known = dataset.kind == "synthetic" or is_live(dataset)
-    shown = not known and (pictures or dataset.has_depth)
+    shown = not known and (pictures or dataset.has_depth or dataset.has_masks)
     places = np.linspace(0, len(used) - 1, SAMPLES) if shown else []
     chosen = sorted({used[int(place)] for place in places})
     frames, bad = _looked_at(dataset, chosen)
@@ -108,6 +114,7 @@ def plan_sequence(
         warnings += [fault.reason for fault in faults]
         if doubt := _judged(dataset, frames):
             warnings.append(doubt)
+    warnings += _mask_doubts(dataset, frames, tracked_masks)
     wide, high = field_of_view(camera)
     count = "as they come" if is_live(dataset) else f"{len(dataset)} frames"
     camera_text = (
@@ -161,6 +168,16 @@ def _judged(dataset: Dataset, frames: Sequence[Frame]) -> str:
             if depth is not None:
                 edges[index] = edges_of_depth(depth)
     return judge(pictures, edges)
+
+
+def _mask_doubts(dataset: Dataset, frames: Sequence[Frame], tracked: bool) -> Iterator[str]:
+    mask_of = _attribute(dataset, "mask_of")
+    if not dataset.has_masks or mask_of is None:
+        return
+    pictures = {frame.index: frame.rgb for frame in frames}
+    masks = {frame.index: frame.mask for frame in frames}
+    masks |= {i: mask_of(i) for i in neighbours(pictures, len(dataset)) if i not in masks}
+    yield from mask_doubts(pictures, {i: ids for i, ids in masks.items() if ids is not None}, tracked=tracked)
 
 
 def _bad_share(bad: int, looked_at: int) -> str:

@@ -28,7 +28,7 @@ def test_a_plain_folder_in_words(make_folder: Maker, sample: SimpleNamespace) ->
     (folder / "notes.csv").touch()
     (folder / "depth_vis").mkdir()
     sample.save(folder / "depth_vis/0.jpg", sample.colour(0))
-    for i in range(5):
+    for i in range(6):
         sample.save(folder / f"object_mask/{i}.png", np.full((16, 24), i + 1, np.uint8))
     plan = plan_of(folder)
     assert list(plan.lines()) == [
@@ -36,7 +36,7 @@ def test_a_plain_folder_in_words(make_folder: Maker, sample: SimpleNamespace) ->
         "pairing:  7 pairs by name",
         "camera:   fx 20 fy 20 cx 11.5 cy 7.5 of 24x16 (62 x 44 degrees), from camera.json",
         "depth:    1000 units a metre, from camera.json; median 1 m, readings at 100 % of the pixels",
-        "masks:    object_mask/, 5 of 7 frames, by name; one channel; 5 ids in the frames looked at",
+        "masks:    object_mask/, 6 of 7 frames, by name; one channel; 5 ids in the frames looked at",
         "truth:    traj.txt, poses of 7 of 7 frames, camera-to-world",
         "not read: depth_vis/ (1 .jpg), notes.csv",
     ]
