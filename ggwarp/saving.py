@@ -24,6 +24,12 @@ from ggwarp.types import Float32, Rendered
 _NEEDED = {"saving the trajectory", "saving the map"}
 """Without these there is nothing to keep."""
 
+_TABLES = ("metrics.json", "frames.csv", "object_scores.csv")
+"""What is written anew once pictures have been compared."""
+
+_ROOM_FOR_TABLES = 1 << 14
+"""Bytes that they may grow by then, apart from what grows with them."""
+
 
 class Saver:
     """Writes a run's results; a part that fails is said, and kept in the record.
@@ -63,6 +69,11 @@ class Saver:
     def folder(self) -> Path:
         """Where the results are."""
         return self._folder.path
+
+    @property
+    def table_bytes(self) -> int:
+        """Bytes of the tables and metrics, as they were saved last."""
+        return sum((self.folder / name).stat().st_size for name in _TABLES if (self.folder / name).is_file())
 
     @property
     def where(self) -> str:
@@ -243,6 +254,8 @@ class ViewSaver:
             "saving renders", lambda: self._write(index, view)
         ):
             self._indices = set()
+            if self._writer is not None:  # the figures that are still to come go before pictures
+                self._writer.make_room(_ROOM_FOR_TABLES + 2 * self._saver.table_bytes)
 
     def _write(self, index: int, view: Rendered) -> None:
         if self._writer is None:

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +28,7 @@ class RenderWriter:
         """Prepare the features' basis where the map has ``identities`` [n, 16]."""
         self._folder = folder
         self._basis = None if identities is None or len(identities) < 2 else feature_basis(identities)
+        self._views: list[list[Path]] = []  # the files of each
 
     def write(self, index: int, view: Rendered) -> None:
         """Write the pictures of frame ``index``.
@@ -34,6 +37,7 @@ class RenderWriter:
             OSError: a file cannot be written.
         """
         self._folder.mkdir(parents=True, exist_ok=True)
+        self._views.append([])
         self._save(index, "rgb", np.rint(view.rgb[..., ::-1] * 255.0).astype(np.uint8))
         self._save(index, "depth", depth_to_millimetres(view.surface_depth))
         if view.objects is not None:
@@ -42,11 +46,23 @@ class RenderWriter:
         if view.identity is not None and self._basis is not None:
             self._save(index, "features", feature_image(view.identity, self._basis)[..., ::-1])
 
+    def make_room(self, needed: int) -> None:
+        """Remove views on a full disk, the newest first, until one is gone and ``needed`` bytes are free."""
+        removed = 0
+        with contextlib.suppress(OSError):
+            while self._views and (not removed or shutil.disk_usage(self._folder).free < needed):
+                for path in self._views.pop():
+                    path.unlink()
+                    removed += 1
+            if not self._views:
+                self._folder.rmdir()
+
     def _save(self, index: int, what: str, image: NDArray[Any]) -> None:
         path = self._folder / f"frame{index:06d}_{what}.png"
         # Not imwrite: it reports a full disk as False, without the reason.
         with atomic_write(path) as file:
             file.write(cv2.imencode(".png", image)[1].tobytes())
+        self._views[-1].append(path)
 
 
 def depth_to_millimetres(depth: Float32) -> NDArray[np.uint16]:

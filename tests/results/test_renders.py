@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+import shutil
 from pathlib import Path
 
 import cv2
@@ -36,6 +37,26 @@ def test_renders(rng, tmp_path):
     assert depth.dtype == np.uint16 and np.isin(depth, (1234, 1235)).all()
     ids = _read(tmp_path / "renders/frame000042_objects.png")
     assert ids.dtype == np.uint16 and ids[0, 0] == 300 and ids.sum() == 300
+
+
+def test_pictures_make_room_the_newest_first(tmp_path, monkeypatch):
+    grey = np.full((6, 8), 0.5, np.float32)
+    view = Rendered(rgb=np.stack([grey] * 3, -1), depth=grey, median_depth=grey, opacity=grey)
+    folder = tmp_path / "renders"
+    writer = renders.RenderWriter(folder, None)
+    for index in range(4):
+        writer.write(index, view)
+
+    def free_of(folder: Path) -> shutil._ntuple_diskusage:
+        return shutil._ntuple_diskusage(1000, 0, 1000 - 100 * len(list(folder.iterdir())))
+
+    monkeypatch.setattr(shutil, "disk_usage", free_of)
+    writer.make_room(0)
+    assert {p.name[:11] for p in folder.iterdir()} == {"frame000000", "frame000001", "frame000002"}
+    writer.make_room(700)
+    assert {p.name[:11] for p in folder.iterdir()} == {"frame000000"}
+    writer.make_room(2000)
+    assert not folder.exists(), "what holds nothing goes, too"
 
 
 def test_depth_that_has_no_place_in_16_bits():
