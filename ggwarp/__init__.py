@@ -4,9 +4,11 @@
 from __future__ import annotations
 
 import importlib
-from typing import TYPE_CHECKING, Any
 
+TYPE_CHECKING = False  # not typing's: the command hears no signal before this module is imported
 if TYPE_CHECKING:
+    from typing import Any
+
     from ggwarp.config import RunConfig
     from ggwarp.datasets import FrameReader, SyntheticOffice, open_dataset
     from ggwarp.geometry.camera import Camera

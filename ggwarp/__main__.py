@@ -3,15 +3,13 @@
 
 from __future__ import annotations
 
-import difflib
 import importlib
-import logging
 import os
 import sys
 from collections.abc import Sequence
 
 from ggwarp import __version__
-from ggwarp.interruption import end_program_after
+from ggwarp.interruption import Interruption, end_program_after
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "run": ("ggwarp.run", "follow a recording's camera, and learn a map of its room"),
@@ -28,16 +26,31 @@ COMMANDS: dict[str, tuple[str, str]] = {
 
 FAILED = 1
 USER_ERROR = 2
-INTERRUPTED = 130
 
-_LEVELS = {"-v": logging.DEBUG, "--verbose": logging.DEBUG, "-q": logging.WARNING, "--quiet": logging.WARNING}
+_LEVELS = {"-v": "DEBUG", "--verbose": "DEBUG", "-q": "WARNING", "--quiet": "WARNING"}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the subcommand that ``arguments`` begin with, and return its exit code."""
+    """Run the subcommand that ``arguments`` begin with, and return its exit code.
+
+    A signal that would end the program ends the command instead: 130, 143, 129.
+    """
     if arguments is None:
         end_program_after()
-    rest = list(sys.argv[1:] if arguments is None else arguments)
+    # From the first moment on: what takes time to import comes after it.
+    with Interruption() as interruption:
+        try:
+            return _main(list(sys.argv[1:] if arguments is None else arguments))
+        except BaseException as error:
+            if isinstance(error, SystemExit) or not (
+                isinstance(error, KeyboardInterrupt) or interruption.requested
+            ):
+                raise
+            print("ggwarp: interrupted", file=sys.stderr)
+            return interruption.exit_code
+
+
+def _main(rest: list[str]) -> int:
     loudness: list[str] = []
     while rest and rest[0] in _LEVELS:
         loudness.append(rest.pop(0))
@@ -51,6 +64,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         rest.insert(0, "run")  # ggwarp --seq office0
     name, rest = rest[0], rest[1:]
     if name not in COMMANDS:
+        import difflib
+
         close = difflib.get_close_matches(name, COMMANDS, n=1)
         hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(COMMANDS)}"
         print(f"ggwarp: {name}: no such command; {hint}", file=sys.stderr)
@@ -58,6 +73,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if name == "run":
         rest = loudness + rest
     elif loudness:
+        import logging
+
         logging.getLogger("ggwarp").setLevel(_LEVELS[loudness[-1]])
     try:
         return importlib.import_module(COMMANDS[name][0]).main(rest)
@@ -66,9 +83,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         print(f"ggwarp: {error.name} is not installed; ggwarp doctor says how to get it", file=sys.stderr)
         return USER_ERROR
-    except KeyboardInterrupt:
-        print("ggwarp: interrupted", file=sys.stderr)
-        return INTERRUPTED
     except BrokenPipeError:  # what was to read has gone: head, a pager
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILED

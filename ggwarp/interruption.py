@@ -9,9 +9,12 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
-from types import FrameType, TracebackType
-from typing import Any
+
+TYPE_CHECKING = False  # not typing's, which takes as long to import as all else that comes before a handler
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from types import FrameType, TracebackType
+    from typing import Any
 
 _PATIENCE = 5.0
 """Seconds after the first signal in which another one is taken for the same."""
@@ -106,6 +109,8 @@ class Interruption:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         for number, previous in self._previous.items():
+            if signal.getsignal(number) != self._request:  # one within has heard the program's last
+                continue
             if _program_ends:  # and says no more, not even where it was interrupted
                 previous = signal.SIG_IGN if self.requested else signal.SIG_DFL
             signal.signal(number, previous or signal.SIG_DFL)

@@ -118,6 +118,28 @@ def test_a_compiler_that_goes_on_is_left() -> None:
     assert (done.returncode, done.stdout, done.stderr) == (130, "interrupted\n", "")
 
 
+_AT_THE_DOOR = """
+import importlib, os, sys
+from ggwarp import __main__ as door
+taken = importlib.import_module
+importlib.import_module = lambda name: os.kill(os.getpid(), int(sys.argv[1])) or taken(name)
+door.COMMANDS[sys.argv[1]] = ("ggwarp.editing.__main__", "")
+sys.exit(door.main())
+"""
+
+
+@pytest.mark.parametrize("number", SIGNALS, ids=lambda n: n.name)
+def test_before_any_command_is_imported(number: signal.Signals) -> None:
+    environment = {**os.environ, "PYTHONPATH": str(Path(ggwarp.__file__).parents[1])}
+    done = subprocess.run(
+        [sys.executable, "-c", _AT_THE_DOOR, str(int(number))],
+        env=environment,
+        capture_output=True,
+        text=True,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (128 + number, "", "ggwarp: interrupted\n")
+
+
 @pytest.mark.parametrize("number", SIGNALS, ids=lambda n: n.name)
 def test_while_it_is_imported(tmp_path: Path, number: signal.Signals) -> None:
     """A library that takes long to import stands in for a slow disk."""
