@@ -3,11 +3,11 @@
 
     python tests/reliability/kills.py --count 200 --seed 7
 
-Half of the kills come at a random time, the others at a random one of the run's operations on files, which
-hits the writing of checkpoints and results more often than any clock does. After each the earlier run in the
-same place must be whole, or the new one in its place; then the run goes on by ``--resume``, or starts anew
-where it had no checkpoint yet. A third are killed once more on their way. In the end every file must have the
-bits of the run that was never stopped. Prints JSON: what was hit, and what was lost.
+Two thirds of the kills come at a random moment within one of the run's stages, each stage as often as any
+other, the rest at a random one of its operations on files. After each the earlier run in the same place must
+be whole, or the new one in its place, and no frame of a checkpoint may be gone; then the run goes on by
+``--resume``, or starts anew where it had no checkpoint yet. A third are killed once more on their way. In the
+end every file must have the bits of the run that was never stopped. Prints JSON: what was hit, and what lost.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
+import math
 import os
 import random
 import shutil
@@ -25,6 +26,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -49,28 +51,46 @@ NOT_COMPARED = {
     *("latency_ms_p50", "latency_ms_p95", "loop_ms"),
 }
 
-_KILLER = """
-import os, sys
-place, left = sys.argv[1], int(sys.argv[2])
-EVENTS = {"open", "os.rename", "os.remove", "os.rmdir", "os.mkdir", "shutil.rmtree", "shutil.move"}
-def count():
-    global left
-    left -= 1
-    if left < 0:
-        os.kill(os.getpid(), 9)
-def hook(event, values):
-    if event in EVENTS and any(isinstance(v, (str, os.PathLike)) and place in os.fspath(v) for v in values):
-        if event != "open" or values[2] & (os.O_WRONLY | os.O_RDWR):
-            count()
-fsync = os.fsync
-os.fsync = lambda file: (count(), fsync(file))
-sys.addaudithook(hook)
-from ggwarp.run import main
-code = main(sys.argv[3:])
-print(left)
-sys.exit(code)
-"""
-"""Runs the command, and kills it at the N-th operation on files of one folder that changes something."""
+STAGES = ("import", "open", "compile", "track", "map", "checkpoint", "refine", "save", "evaluate")
+
+_COMPILING = 12.0
+"""Seconds within which a run that compiles is killed."""
+
+_PROGRAM = Path(__file__).with_name("killed_run.py")
+
+
+@dataclass(frozen=True)
+class Moment:
+    """When a run is killed: see ``killed_run.py``.
+
+    Attributes:
+        stage: in which; "file": at an operation on files; "never".
+        count: the how manieth time that the stage is entered, or operation, from 1.
+        delay: seconds after that.
+    """
+
+    stage: str = "never"
+    count: int = 1
+    delay: float = 0.0
+
+
+@dataclass
+class Killed:
+    """What a run had done when it ended.
+
+    Attributes:
+        stage: that it was in.
+        frames: of its last checkpoint.
+        code: its exit code.
+        counts: how often each stage was entered; of operations on files, how many there were.
+        seconds: the longest time in each.
+    """
+
+    stage: str
+    frames: int
+    code: int
+    counts: dict[str, int]
+    seconds: dict[str, float]
 
 
 def outcome(folder: Path) -> dict[str, str]:
@@ -94,20 +114,20 @@ class Campaign:
     def __init__(self, folder: Path, rng: random.Random) -> None:
         """Make the run that is never stopped, and the earlier run that has its place at first."""
         self.folder, self.rng = folder, rng
+        self.trials = 0
+        self._stages = rng.sample(STAGES, len(STAGES))
         self.hits: Counter[str] = Counter()
+        self.ways: Counter[str] = Counter()
         self.lost: list[str] = []
-        started = time.monotonic()
-        most = 1_000_000
-        whole = [str(folder), str(most), *RUN, "--out", str(folder / "whole"), "--checkpoint-every", "2"]
-        self.operations = most - int(self._run(folder, whole, code=_KILLER).stdout.split()[-1])
-        self.seconds = time.monotonic() - started
+        whole = [*RUN, "--out", str(folder / "whole"), "--checkpoint-every", "2"]
+        self.typical = self._killed(folder, whole, Moment())
         self._run(folder, [*OLDER, "--out", str(folder / "older"), "--checkpoint-every", "off"])
         self._run(folder, [*OLDER, "--out", str(folder / "older-with-checkpoint")])
         self.whole = outcome(folder / "whole")
 
-    def trial(self, number: int) -> None:
+    def trial(self) -> None:
         """Kill a run, go on with it, and note what was lost."""
-        place = self.folder / f"trial-{number}"
+        place = self.folder / f"trial-{self.trials}"
         out = place / "o"
         older = self.folder / self.rng.choice(["older", "older-with-checkpoint"])
         shutil.copytree(older, out)
@@ -115,68 +135,72 @@ class Campaign:
         before = contents(out)
         every = self.rng.choice(["1", "2", "0.2s"])
         arguments = [*RUN, "--out", str(out)]
-        for again in range(self.rng.choice([1, 1, 2])):
-            frames = self._frames_behind(out)
-            command = [*arguments, "--checkpoint-every", every]
-            ended = self._killed(place, command)
-            self._note(out, before, frames, ended, "again: " if again else "")
+        moments = [self._moment(self._stages[self.trials % len(STAGES)])]
+        self.trials += 1
+        if self.rng.random() < 1 / 3:
+            moments.append(self._moment(self.rng.choice([stage for stage in STAGES if stage != "compile"])))
+        cache = {"WARP_CACHE_PATH": str(place / "kernels")} if moments[0].stage == "compile" else {}
+        for moment in moments:
+            behind = self._frames_behind(out)
+            killed = self._killed(place, [*arguments, "--checkpoint-every", every], moment, cache)
+            self.hits[killed.stage if killed.code == -signal.SIGKILL else "not killed"] += 1
+            self._check(out, before, max(behind, killed.frames))
             arguments = self._next(out)
-        done = self._run(place, arguments, check=False)
+        self.ways["went on" if "--resume" in arguments else "started anew"] += 1
+        done = self._run(place, arguments, check=False, environment=cache)
         if done.returncode:
             self._lose(place, f"{' '.join(arguments[:2])} ended with {done.returncode}: {done.stderr[-300:]}")
             return
-        left = sorted(p.name for p in place.iterdir())
-        if left != ["o"]:
+        left = {p.name for p in place.iterdir()} - {"o", "kernels"}
+        if left:
             self._lose(place, f"left behind: {left}")
         for name, value in outcome(out).items():
             if value != self.whole[name]:
                 self._lose(place, f"{name} is another")
         shutil.rmtree(place)
 
-    def _killed(self, place: Path, arguments: Sequence[str]) -> str:
-        """Run the command and kill it; return at what."""
-        if self.rng.random() < 0.5:
-            count = self.rng.randrange(self.operations)
-            done = self._run(place, [str(place), str(count), *arguments], code=_KILLER, check=False)
-            return "an operation on files" if done.returncode == -signal.SIGKILL else "nothing"
-        command = [sys.executable, "-m", "ggwarp.run", *arguments]
-        process = subprocess.Popen(command, cwd=place, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        try:
-            process.wait(self.rng.uniform(0.0, 1.1 * self.seconds))
-            return "nothing"
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-            return "a time"
+    def _moment(self, stage: str) -> Moment:
+        typical = self.typical
+        if stage != "compile" and self.rng.random() < 1 / 3:
+            return Moment("file", self.rng.randint(1, typical.counts["file"]))
+        count = self.rng.randint(1, max(1, typical.counts.get(stage, 1)))
+        seconds = _COMPILING if stage == "compile" else typical.seconds.get(stage, 0.0)
+        return Moment(stage, count, self.rng.uniform(0.0, seconds))
 
-    def _note(self, out: Path, before: dict[str, str], frames: int, ended: str, again: str) -> None:
-        """Note what a kill hit, and whether it has done any harm."""
+    def _killed(
+        self, place: Path, arguments: Sequence[str], moment: Moment, environment: dict[str, str] | None = None
+    ) -> Killed:
+        """Run the command and kill it; return what it was doing."""
+        told = place.with_name(f"{place.name}.told")
+        when = [moment.stage, str(moment.count), repr(moment.delay)]
+        done = self._run(
+            place,
+            [str(place), str(told), *when, *arguments],
+            program=[str(_PROGRAM)],
+            check=False,
+            environment=environment or {},
+        )
+        if done.returncode not in (0, -signal.SIGKILL):
+            self._lose(place, f"ended with {done.returncode}: {done.stderr[-300:]}")
+        stage, frames, *figures = (
+            told.read_text().rstrip("\0").split("\n") if told.exists() else ("import", 0)
+        )
+        counts, seconds = json.loads(figures[0]) if figures and figures[0] else ({}, {})
+        told.unlink(missing_ok=True)
+        return Killed(stage.strip(), int(frames), done.returncode, counts, seconds)
+
+    def _check(self, out: Path, before: dict[str, str], frames: int) -> None:
+        """Note whether a kill has done any harm; ``frames``: of the last checkpoint."""
         now, place = contents(out), out.parent
-        stage = "the end" if now != before else self._stage(place)
-        self.hits[f"{again}{ended}, {stage}"] += 1
         if now == before:
-            return
-        try:
+            self.ways["the earlier run was whole"] += 1
+        else:
             names = {*COMPARED} - {"object_scores.csv"}  # which is complete once pictures are compared
-            reached = {name: now.get(name) for name in names}
-            wanted = {name: value for name, value in self.whole.items() if name in names}
-            if reached != wanted:
+            if any(now.get(name) != self.whole[name] for name in names):
                 self._lose(place, "the earlier run is no longer whole, nor is the new one in its place")
-        finally:
-            if frames > self._frames_behind(out):
-                self._lose(place, "a checkpoint is gone")
-
-    def _stage(self, place: Path) -> str:
-        left = [p for p in place.glob(".o.*") if p.is_dir()]
-        if not left:
-            return "before the folder"
-        names = {p.name for folder in left for p in folder.rglob("*")}
-        if any(name.endswith(".safetensors") or ".safetensors." in name for name in names):
-            half = any(name.endswith(".part") for name in names)
-            return (
-                "saving" if "trajectory.txt" in names else "a checkpoint half written" if half else "frames"
-            )
-        return "before the first checkpoint"
+            self.ways["the new run was in its place"] += 1
+        if frames > self._frames_behind(out):
+            self._lose(place, f"a checkpoint is gone: {self._frames_behind(out)} of {frames} frames")
 
     def _frames_behind(self, out: Path) -> int:
         try:
@@ -195,11 +219,17 @@ class Campaign:
         return [*RUN, "--out", str(out)]
 
     def _run(
-        self, place: Path, arguments: Sequence[str], *, code: str | None = None, check: bool = True
+        self,
+        place: Path,
+        arguments: Sequence[str],
+        *,
+        program: Sequence[str] = ("-m", "ggwarp.run"),
+        check: bool = True,
+        environment: dict[str, str] | None = None,
     ) -> subprocess.CompletedProcess[str]:
-        program = ["-m", "ggwarp.run"] if code is None else ["-c", code]
         command = [sys.executable, *program, *arguments]
-        return subprocess.run(command, cwd=place, capture_output=True, text=True, check=check)
+        variables = {**os.environ, **(environment or {})}
+        return subprocess.run(command, cwd=place, capture_output=True, text=True, check=check, env=variables)
 
     def _lose(self, place: Path, what: str) -> None:
         self.lost.append(f"{place.name}: {what}")
@@ -210,18 +240,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a campaign and print its report; return 0 where nothing was lost."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--count", type=int, default=200)
+    parser.add_argument("--seconds", type=float, default=math.inf, help="begin no trial after so many")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--folder", type=Path, help="where to work; default: a temporary folder")
     options = parser.parse_args(arguments)
+    began = time.monotonic()
     with tempfile.TemporaryDirectory(dir=options.folder) as folder:
         campaign = Campaign(Path(folder), random.Random(options.seed))
-        for number in range(options.count):
-            campaign.trial(number)
+        while campaign.trials < options.count and time.monotonic() - began < options.seconds:
+            campaign.trial()
     report: dict[str, Any] = {
-        "trials": options.count,
-        "operations on files of a run": campaign.operations,
-        "kills": sum(count for what, count in campaign.hits.items() if "nothing" not in what),
-        "hits": dict(sorted(campaign.hits.items())),
+        "trials": campaign.trials,
+        "operations on files of a run": campaign.typical.counts["file"],
+        "kills": sum(count for what, count in campaign.hits.items() if what != "not killed"),
+        "in": dict(campaign.hits),
+        "ways": dict(campaign.ways),
         "lost": campaign.lost,
     }
     print(json.dumps(report, indent=2))
