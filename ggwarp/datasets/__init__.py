@@ -72,6 +72,7 @@ FALLBACK = "office0"
 """The one sequence that the built-in office stands in for where Replica is absent."""
 
 _MOST_PLACES = 5  # that a message names
+_MOST_INSIDE = 100  # entries of a folder that are looked into
 _MOST_ENTRIES = 10_000  # of a folder that are compared with a name
 
 # What needs OpenCV or Warp is imported when first used.
@@ -127,6 +128,8 @@ def open_dataset(
                 _no_intrinsics(f"{path} ({kind.name})", intrinsics)
                 return kind.open(path, masks)
     if folders:
+        if deeper := _deeper(folders[0], kinds):
+            raise DatasetError(f"{folders[0]}: holds no sequence itself, but {deeper} is one: --seq {deeper}")
         layouts = "; ".join(f"{kind.name}: {kind.layout}" for kind in kinds)
         raise DatasetError(f"{folders[0]}: holds no sequence that is recognised ({layouts})")
     files = [path for path in candidates if path.is_file()]
@@ -143,6 +146,16 @@ def open_dataset(
         f"{seq}: no such sequence{_suggestion(seq, candidates)}; looked for {_places(candidates)} "
         f"(--data names another data root, ggwarp download fetches one, --seq office is built in)"
     )
+
+
+def _deeper(folder: Path, kinds: list[Kind]) -> Path | None:
+    """Return the first folder in ``folder``, or in these, that is a sequence; None: there is none."""
+    inside = [path for path in sorted(itertools.islice(folder.iterdir(), _MOST_INSIDE)) if path.is_dir()]
+    deeper = [
+        p for path in inside for p in sorted(itertools.islice(path.iterdir(), _MOST_INSIDE)) if p.is_dir()
+    ]
+    found = (path for path in (*inside, *deeper) if any(kind.recognises(path) for kind in kinds))
+    return next(found, None)
 
 
 def _live(seq: str, masks: Masks, intrinsics: Intrinsics | None) -> Dataset:

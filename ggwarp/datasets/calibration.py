@@ -27,6 +27,7 @@ CAMERA_FILES = (
     "cam_params.json",
     "camera_intrinsic.json",
     "intrinsic.json",
+    "intrinsics.json",
     "calibration.txt",
     "intrinsics.txt",
 )
@@ -128,6 +129,11 @@ def given_camera(path: Path, size: tuple[int, int], intrinsics: Intrinsics | Non
     if fault := camera_fault(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy):
         raise DatasetError(f"{given}: {fault} ({path})")
     return Camera(width, height, fx, fy, cx, cy)
+
+
+def has_camera_file(folder: Path) -> bool:
+    """Return whether ``folder`` has a camera file of one's own recording: it is no app's, then."""
+    return any((folder / name).is_file() for name in CAMERA_FILES)
 
 
 def find_camera_file(folders: Iterable[Path], names: Iterable[str] = CAMERA_FILES) -> Path:

@@ -2,14 +2,14 @@
 """A plain folder: one's own recording.
 
 ``color/``, ``rgb/`` or ``images/`` and ``depth/``, paired by name, number or time (see
-:mod:`ggwarp.datasets.pairing`); a camera file (see :mod:`ggwarp.datasets.calibration`); poses optional, in
-``traj.txt`` or ``pose/<stem>.txt``. Without ``depth/`` it is monocular; then the images may also lie in the
-folder itself.
+:mod:`ggwarp.datasets.pairing`), or one folder of ``0_color`` and ``0_depth``; a camera file (see
+:mod:`ggwarp.datasets.calibration`); poses optional, in ``traj.txt`` or ``pose/<stem>.txt``. Without depth it
+is monocular; then the images may also lie in the folder itself.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -21,19 +21,21 @@ from ggwarp.datasets.calibration import (
     Intrinsics,
     find_camera_file,
     given_camera,
+    has_camera_file,
     read_calibration,
 )
 from ggwarp.datasets.images import COLOUR_SUFFIXES, DEPTH_SUFFIXES, image_size
-from ggwarp.datasets.pairing import Pairing, pair_files
+from ggwarp.datasets.pairing import Pairing, pair_files, several_cameras
 from ggwarp.datasets.plan.bent_depth import LEAST_PREFERENCE, preference
 from ggwarp.datasets.poses import read_matrices, read_matrix_files
 from ggwarp.datasets.sequence import Entry, FileSequence, image_files, match_poses
-from ggwarp.datasets.source import Source, contents, unread_entries
+from ggwarp.datasets.source import Source, contents, depth_elsewhere, unread_entries
 from ggwarp.types import Float64
 
 COLOUR_FOLDERS = ("color", "rgb", "images", "colour")
 DEPTH_FOLDERS = ("depth", "depths", "depth_images")
 POSE_FOLDERS = ("pose", "poses")
+_COLOUR = re.compile(r"(?i)colou?r|rgb")
 _DEPTH_SCALE = 1000.0
 """Millimetres, as most recorders write."""
 _RATE = 30.0
@@ -59,9 +61,11 @@ def open_sequence(path: Path, masks: Masks = None, intrinsics: Intrinsics | None
     if not colour or folder is None:
         found = "" if folder is None else f"; {folder.name}/ holds {contents(folder)}"
         raise DatasetError(f"{path}: the sequence is empty (no images in {', '.join(COLOUR_FOLDERS)}{found})")
-    _refuse_doubles(colour)
     depth_folder = _first(path, DEPTH_FOLDERS)
     depth = image_files(depth_folder, suffixes=DEPTH_SUFFIXES) if depth_folder else []
+    if depth_folder is None:
+        colour, depth = _told_apart(folder, colour)
+    _refuse_doubles(colour)
     if depth_folder is not None and not depth and any(depth_folder.iterdir()):
         raise DatasetError(
             f"{depth_folder}: holds {contents(depth_folder)}, but depth is read from "
@@ -77,12 +81,19 @@ def open_sequence(path: Path, masks: Masks = None, intrinsics: Intrinsics | None
         *truth.read,
         *(path / n for n in CAMERA_FILES),
     }
-    unread = unread_entries(path, {*known, *(colour if folder == path else ())})
+    unread = unread_entries(path, {*known, *(colour + depth if folder == path else ())})
+    where = f" and {depth_folder.name}/" if depth_folder else " with colour and depth" if depth else ""
+    elsewhere = depth_elsewhere(unread, f"depth is read from {', '.join(f'{n}/' for n in DEPTH_FOLDERS)}")
     source = Source(
-        layout=f"a plain folder, {folder.name}/" + (f" and {depth_folder.name}/" if depth_folder else ""),
+        layout=f"a plain folder, {folder.name}/{where}",
         pairing=pairing.summary("colour images", "depth images") if depth else "",
         truth=truth.text,
-        notes=(*pairing.notes, *truth.notes, *([] if depth else _depth_elsewhere(unread))),
+        notes=(
+            *pairing.notes,
+            *filter(None, [several_cameras(colour)]),
+            *truth.notes,
+            *([] if depth else elsewhere),
+        ),
         unread=unread,
     )
     sequence = FileSequence(path, "folder", entries, calibration, masks=masks, source=source)
@@ -103,11 +114,13 @@ def _refuse_doubles(colour: list[Path]) -> None:
             raise DatasetError(f"{path.parent}: {other.name} and {path.name} have one name; keep one kind")
 
 
-def _depth_elsewhere(unread: tuple[str, ...]) -> Iterator[str]:
-    """Yield which folders that are not read probably hold the depth that is missed."""
-    for entry in unread:
-        if "depth" in entry.split("/")[0].lower() and "/ (" in entry:
-            yield f"{entry} is not read: depth is read from {', '.join(f'{name}/' for name in DEPTH_FOLDERS)}"
+def _told_apart(folder: Path, images: list[Path]) -> tuple[list[Path], list[Path]]:
+    """Return the colour and the depth images of a ``folder`` of both, whose names say which is which."""
+    depth = [path for path in image_files(folder, suffixes=DEPTH_SUFFIXES) if "depth" in path.stem.lower()]
+    others = [path for path in images if path not in set(depth)]
+    if not depth or not others:
+        return images, []
+    return [path for path in others if _COLOUR.search(path.stem)] or others, depth
 
 
 def _calibration(
@@ -115,9 +128,9 @@ def _calibration(
 ) -> Calibration:
     """Return the camera file's calibration with ``intrinsics`` before its own, or that of these alone."""
     camera = None
-    if intrinsics is not None or not (with_depth or _camera_file(path)):
+    if intrinsics is not None or not (with_depth or has_camera_file(path)):
         camera = given_camera(path, size, intrinsics)
-    if camera is not None and not _camera_file(path):
+    if camera is not None and not has_camera_file(path):
         return Calibration(camera, _DEPTH_SCALE, origin="--intrinsics")
     file = find_camera_file([path])
     return read_calibration(file, depth_scale=_DEPTH_SCALE, size=size, intrinsics=intrinsics)
@@ -148,10 +161,6 @@ def _colour_folder(path: Path) -> Path | None:
     if inside is not None or _first(path, DEPTH_FOLDERS):
         return inside
     return path if any(p.suffix.lower() in COLOUR_SUFFIXES for p in path.iterdir()) else None
-
-
-def _camera_file(path: Path) -> bool:
-    return any((path / name).is_file() for name in CAMERA_FILES)
 
 
 class _Truth(NamedTuple):

@@ -23,6 +23,8 @@ from ggwarp.types import Float64
 TIME_TOLERANCE = 0.02
 """Largest time between two images of one frame, seconds: as the TUM benchmark's own tools take it."""
 
+_MOST_CAMERAS = 6
+"""That record into one folder."""
 _BESIDE = 16
 """Times on either side of one that may be its partners."""
 _EPOCH = ((1e9, 1e10, 1.0), (1e12, 1e13, 1e3), (1e15, 1e16, 1e6), (1e18, 1e19, 1e9))
@@ -120,6 +122,21 @@ def pair_files(paths: Sequence[Path], others: Sequence[Path], item: str, other: 
         f"{others[0].parent}: the names do not tell which {other} belong to which {item} "
         f"({others[0].name}, ... and {paths[0].name}, ...): {reason}; give both the same numbers"
     )
+
+
+def several_cameras(paths: Sequence[Path]) -> str:
+    """Say so where the names of ``paths`` are every number with each of a few variants; empty: not so."""
+    columns = columns_of([path.stem for path in paths])
+    for place, column in enumerate(columns):
+        variants = set(column)
+        rest = set(zip(*columns[:place], *columns[place + 1 :], strict=True))
+        if 2 <= len(variants) <= _MOST_CAMERAS < len(rest) and len(rest) * len(variants) == len(paths):
+            other = paths[next(i for i, value in enumerate(column) if value != column[0])]
+            return (
+                f"each image is there {len(variants)} times ({paths[0].name}, {other.name}): by several "
+                "cameras? All are taken for one camera's; move each one's into a folder of its own"
+            )
+    return ""
 
 
 def pair_times(stamps: Float64, others: Float64, *, tolerance: float = TIME_TOLERANCE) -> Pairing:

@@ -77,6 +77,15 @@ def unread_entries(folder: Path, read: Iterable[Path]) -> tuple[str, ...]:
     return tuple(found)
 
 
+def depth_elsewhere(unread: Iterable[str], remedy: str) -> list[str]:
+    """Return which folders among the ``unread`` probably hold the depth that is missed, with the remedy."""
+    return [
+        f"{entry} is not read: {remedy}"
+        for entry in unread
+        if "/ (" in entry and "depth" in entry.split("/")[0].lower()
+    ]
+
+
 def contents(folder: Path) -> str:
     """Return what a folder holds in words: "20 .png, 1 .json", "2 folders", "empty"."""
     try:
@@ -119,12 +128,13 @@ def recorder_source(
     camera: str,
     depth_unit: str,
     truth: str,
+    notes: Iterable[str] = (),
     unread: tuple[str, ...] = (),
 ) -> Source:
     """Return the source of what a recorder wrote: names tell what belongs together, the layout what is what.
 
     Args:
-        layout, camera, depth_unit, unread: as :class:`Source` has them.
+        layout, camera, depth_unit, notes, unread: as :class:`Source` has them.
         truth: where poses come from, such as "odometry.csv, by ARKit".
     """
     count = len(entries)
@@ -142,6 +152,7 @@ def recorder_source(
         camera=camera,
         depth_unit=depth_unit if depth else "",
         truth=f"{truth}, poses of {poses} of {count} frames" if poses else "",
+        notes=tuple(notes),
         unread=unread,
     )
 

@@ -129,6 +129,24 @@ RIGHT: dict[str, Callable[[Path], None]] = {
     "lists in nanoseconds": lambda r: lists(r, unit=1e9),
     "lists in milliseconds": lambda r: lists(r, unit=1e3),
     "one-based colour": lambda r: folder(r, colour="color/{i}.png", depth="depth/{i}.png", start=1),
+    "colour and depth in one folder": lambda r: folder(r, colour="{i}_color.png", depth="{i}_depth.png"),
+    "colour, depth and normals in one": lambda r: (
+        folder(r, colour="rgb/{i}_rgb.png", depth="rgb/{i}_depth.png"),
+        [write(r / f"rgb/{i}_normal.png", bgr(i)) for i in range(COUNT)],
+        None,
+    )[-1],
+    "a metadata.json of one's own": lambda r: (
+        folder(r, colour="rgb/{i}.png"),
+        (r / "metadata.json").write_text('{"author": "me"}'),
+        None,
+    )[-1],
+    "an app's frame beside": lambda r: (
+        folder(r),
+        write(r / "frame_00000.jpg", bgr(0)),
+        (r / "frame_00000.json").write_text("{}"),
+        None,
+    )[-1],
+    "intrinsics.json": lambda r: folder(r, name="intrinsics.json"),
 }  # fmt: skip
 
 
@@ -178,6 +196,8 @@ REFUSED: dict[str, tuple[Callable[[Path], None], str]] = {
         "lies outside the 32x24 images: are they of another size",
     ),
     "intrinsics in shares": (lambda r: folder(r, camera=SHARES), "normalised intrinsics"),
+    "a fisheye model": (lambda r: folder(r, camera=CAMERA | {"model": "equidistant"}), "undistort the im"),
+    "a folder deeper": (lambda r: folder(r / "mine/walk"), r"but .*mine/walk is one: --seq .*mine/walk"),
     "a fisheye lens": (lambda r: folder(r, camera=CAMERA | {"camera_model": "OPENCV_FISHEYE"}), "not read"),
     "y upwards": (lambda r: folder(r, camera=CAMERA | {"fy": -30.0}), "fy is -30; it must be positive"),
     "two pictures of a number": (two_eyes, "the names do not tell which depth images"),
@@ -210,6 +230,26 @@ DOUBTED: dict[str, tuple[Callable[[Path], None], str]] = {
     "intrinsics of smaller images": (
         lambda r: folder(r, camera=CAMERA | {"fx": 15.0, "fy": 15.0, "cx": 7.5, "cy": 5.5}),
         "lies far from the middle",
+    ),
+    "cx and cy exchanged": (
+        lambda r: folder(r, camera=CAMERA | {"cx": 11.5, "cy": 15.5}),
+        "are cx and cy exchanged",
+    ),
+    "intrinsics of images a quarter larger": (
+        lambda r: folder(r, camera={"fx": 37.5, "fy": 37.5, "cx": 19.5, "cy": 14.5}),
+        "the intrinsics of images of 40x30?",
+    ),
+    "bits rotated by three": (
+        lambda r: folder(r, depth_of=lambda i: raw(i) << 3 | raw(i) >> 13),
+        "as SUN RGB-D has them",
+    ),
+    "two cameras in a folder": (
+        lambda r: [folder(r, colour=f"rgb/{c}_{{i}}.png", depth=f"depth/{c}_{{i}}.png") for c in "lr"][-1],
+        "(l_0.png, r_0.png): by several cameras?",
+    ),
+    "depth in a folder of another name": (
+        lambda r: folder(r, depth="aligned_depth_to_color/{i}.png"),
+        "aligned_depth_to_color/ (8 .png) is not read: depth is read from depth/",
     ),
     "a lens that nobody knows": (lambda r: folder(r, camera=CAMERA | {"camera_model": "X1"}), "X1"),
     "times in nanoseconds": (lambda r: lists(r, unit=1e9), "its times are taken for ns"),

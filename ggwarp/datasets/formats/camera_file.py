@@ -33,7 +33,7 @@ _MATRICES = ("intrinsic_matrix", "K", "camera_matrix", "intrinsics")
 _COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _MEANT = re.compile(r"(?i)dist|^[kp]\d$|scale|unit|factor|crop|offset|shift|skew")
 _READ = {*_SPELLINGS, *_SPELLINGS.values(), *_COEFFICIENTS, "depth_distorted", "distortion_model"}
-_MODEL_KEYS = ("camera_model", "distortion_model", "lens_model")
+_MODEL_KEYS = ("camera_model", "distortion_model", "lens_model", "model", "camera_type", "projection")
 _PINHOLES = frozenset(
     {
         "PINHOLE",

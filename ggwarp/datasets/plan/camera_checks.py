@@ -12,8 +12,10 @@ FIELDS = (25.0, 130.0)
 """Degrees: the wider field of view of cameras that rooms are recorded with."""
 _MOST_UNEQUAL = 1.15
 """fx over fy: pixels are square, but for a few sensors' per cent."""
-_FARTHEST_CENTRE = 0.2
-"""Of width or height: how far the centre lies from the middle, lenses being mounted over it."""
+_FARTHEST_CENTRE = 0.1
+"""Of width or height: how far the centre lies from the middle, lenses being mounted over it to 3 %."""
+_ALIKE = 0.05
+"""Of a size: what a centre may be off when it is the middle of images of another size, or of turned ones."""
 
 
 def field_of_view(camera: Camera) -> tuple[float, float]:
@@ -44,5 +46,15 @@ def camera_doubts(camera: Camera) -> Iterator[str]:
     if max(abs(across), abs(down)) > _FARTHEST_CENTRE:
         yield (
             f"the centre, cx {camera.cx:g} and cy {camera.cy:g}, lies far from the middle of {camera.width}x"
-            f"{camera.height} images: are these the intrinsics of images of another size, or turned?"
+            f"{camera.height} images: {_explained(camera)}?"
         )
+
+
+def _explained(camera: Camera) -> str:
+    """Return what the centre of ``camera``, far from the middle, would be the middle of."""
+    width, height = 2.0 * camera.cx + 1.0, 2.0 * camera.cy + 1.0
+    if max(abs(width / camera.height - 1.0), abs(height / camera.width - 1.0)) < _ALIKE:
+        return "are cx and cy exchanged, or the images turned"
+    if abs(width * camera.height / (height * camera.width) - 1.0) < _ALIKE:
+        return f"are these the intrinsics of images of {width:.0f}x{height:.0f}"
+    return "are these the intrinsics of images of another size, or turned"

@@ -25,6 +25,8 @@ _FEWEST_FLAT, _RATIO = 0.04, 1.3
 In eleven sequences (two Kinects, a RealSense, three renderers) there are at most 0.77 times as many along
 rays, and at most as many for disparity; where their depth is turned into distances along the rays, at least
 1.4 times as many."""
+_ROTATED = 0.98
+"""Share of values that are multiples of 8 where the bits of millimetres are rotated by three (SUN RGB-D)."""
 _HIGH = 0.1
 """Share of a type's range below which the median lies where single readings alone are far."""
 _MOST_FLAT_SAMPLES = 20_000
@@ -83,6 +85,12 @@ def depth_faults(images: Sequence[Float32], camera: Camera, scale: float | None)
             f"the median depth is {median:.3g} m, as {unit}: is that right? The camera file's scale says it",
             False,
         )
+    if scale is not None and len(values) > _FEW_VALUES and _rotated(values * scale) and scale < 8000.0:
+        yield Fault(
+            "the depth images' values are multiples of 8: are their bits rotated by three, as SUN RGB-D has "
+            "them? (value >> 3) | (value << 13) turns them back",
+            False,
+        )
     if scale is not None and _normalised(images, scale):
         yield Fault(
             "every depth image ends at the same largest value that its type holds: is each stretched to "
@@ -91,6 +99,11 @@ def depth_faults(images: Sequence[Float32], camera: Camera, scale: float | None)
         )
     if reason := _not_along_the_axis(images, camera):
         yield Fault(reason, False)
+
+
+def _rotated(raw: Float32) -> bool:
+    """Return whether values of 16 bits hold nothing in the lowest three."""
+    return float(np.mean(np.rint(raw).astype(np.int64) % 8 == 0)) > _ROTATED
 
 
 def _normalised(images: Sequence[Float32], scale: float) -> bool:

@@ -21,7 +21,7 @@ from ggwarp.datasets.images import DEPTH_SUFFIXES
 from ggwarp.datasets.poses import pose_from_quaternion
 from ggwarp.datasets.rig import Lens, typical_camera
 from ggwarp.datasets.sequence import Entry, FileSequence
-from ggwarp.datasets.source import recorder_source
+from ggwarp.datasets.source import depth_elsewhere, recorder_source, unread_entries
 from ggwarp.datasets.text import parse_float, read_lines, read_text
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
@@ -44,6 +44,7 @@ _MODELS = {
     10: ("THIN_PRISM_FISHEYE", 12),
 }
 """Number of a camera's model -> its name and how many parameters it has."""
+_TABLES = ("cameras", "images", "points3D")
 _LONGEST_NAME = 4096
 
 Images = list[tuple[str, int, Float64 | None]]
@@ -91,12 +92,19 @@ def open_sequence(path: Path, masks: Masks = None) -> FileSequence:
         )
     typical = typical_camera([lenses[camera].camera for _, camera, _ in images])
     distortion = lenses[images[0][1]].distortion
+    read = ("images", "sparse", "depth", *(f"{n}.{s}" for n in _TABLES for s in ("bin", "txt")))
+    unread = unread_entries(path, [path / name for name in read])
+    with_depth = any(entry.depth for entry in entries)
     source = recorder_source(
         f"COLMAP, images/ and {folder.relative_to(path)}",
         entries,
         camera=f"cameras of {folder.relative_to(path)}",
         depth_unit="millimetres at the model's scale, assumed",
         truth="structure from motion, world-to-camera",
+        notes=()
+        if with_depth
+        else depth_elsewhere(unread, "depth is read from depth/, by the images' names"),
+        unread=unread,
     )
     calibration = Calibration(typical, 1000.0, distortion)
     return FileSequence(path, "colmap", entries, calibration, masks=masks, source=source)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from ggwarp.datasets.images import COLOUR_SUFFIXES, Size, image_size
 from ggwarp.datasets.poses import opencv_axes, rigid
 from ggwarp.datasets.rig import typical_camera
 from ggwarp.datasets.sequence import Entry, FileSequence
-from ggwarp.datasets.source import recorder_source
+from ggwarp.datasets.source import depth_elsewhere, recorder_source, unread_entries
 from ggwarp.datasets.text import numbers_of, read_json
 from ggwarp.geometry.camera import Camera
 from ggwarp.io.camera import finite_number
@@ -82,14 +83,27 @@ def open_sequence(path: Path, masks: Masks = None) -> FileSequence:
             )
         )
     calibration = Calibration(typical_camera(cameras), scale, distortion if any(distortion) else ())
+    read = {
+        path / entry.relative_to(path).parts[0] for entry in _files(entries) if entry.is_relative_to(path)
+    }
+    unread = unread_entries(path, {file, *read})
+    with_depth = any(entry.depth for entry in entries)
+    remedy = f"{file.name} names no depth; give each frame its depth_file_path"
     source = recorder_source(
         "nerfstudio's layout, transforms.json",
         entries,
         camera="transforms.json",
         depth_unit=f"{scale:g} units a metre, " + ("from transforms.json" if metres else "nerfstudio's"),
         truth="transforms.json, with OpenGL's axes",
+        notes=() if with_depth else depth_elsewhere(unread, remedy),
+        unread=unread,
     )
     return FileSequence(path, "nerfstudio", entries, calibration, masks=masks, source=source)
+
+
+def _files(entries: list[Entry]) -> Iterator[Path]:
+    for entry in entries:
+        yield from (file for file in (entry.rgb, entry.depth) if isinstance(file, Path))
 
 
 def _image(path: Path, frame: dict[str, Any], file: Path) -> str:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggwarp.datasets.base import DatasetError, FrameError, Kind, Masks
-from ggwarp.datasets.calibration import Calibration
+from ggwarp.datasets.calibration import Calibration, has_camera_file
 from ggwarp.datasets.formats.headers import check_size, size_in_header
 from ggwarp.datasets.images import DEPTH_SUFFIXES, Size, decode_colour, image_size, metres
 from ggwarp.datasets.poses import opencv_axes, pose_from_quaternion
@@ -44,9 +44,8 @@ _DEPTH_SIZES = ((192, 256), (256, 192), (480, 640), (640, 480))
 
 def recognises(path: Path) -> bool:
     """Return whether ``path`` is an exported recording, or an .r3d file taken apart."""
-    return ((path / "metadata.json").is_file() and (path / "rgb").is_dir()) or (
-        (path / "metadata").is_file() and (path / "rgbd").is_dir()
-    )
+    exported = (path / "metadata.json").is_file() and (path / "rgb").is_dir() and not has_camera_file(path)
+    return exported or ((path / "metadata").is_file() and (path / "rgbd").is_dir())
 
 
 def open_sequence(path: Path, masks: Masks = None) -> FileSequence:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from ggwarp.datasets.base import DatasetError, Kind, Masks
-from ggwarp.datasets.calibration import Calibration
+from ggwarp.datasets.calibration import Calibration, has_camera_file
 from ggwarp.datasets.images import image_size
 from ggwarp.datasets.poses import opencv_axes, rigid
 from ggwarp.datasets.rig import typical_camera
@@ -28,7 +28,8 @@ _RATE = 60.0
 
 def recognises(path: Path) -> bool:
     """Return whether ``path`` is a recording in this layout."""
-    return any(path.glob("frame_[0-9]*.json")) and any(path.glob("frame_[0-9]*.jpg"))
+    ours = any(path.glob("frame_[0-9]*.json")) and any(path.glob("frame_[0-9]*.jpg"))
+    return ours and not has_camera_file(path)
 
 
 def open_sequence(path: Path, masks: Masks = None) -> FileSequence:

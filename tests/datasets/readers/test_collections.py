@@ -152,6 +152,26 @@ def test_nerfstudio_refuses_fisheye_by_name(tmp_path: Path) -> None:
         opened(tmp_path)
 
 
+def test_depth_that_nerfstudios_file_does_not_name_is_told(tmp_path: Path) -> None:
+    nerfstudio(tmp_path)
+    values = json.loads((tmp_path / "transforms.json").read_text())
+    for frame in values["frames"]:
+        depth = tmp_path / frame.pop("depth_file_path")
+        write(tmp_path / "depths" / depth.name, depth.read_bytes())
+    write(tmp_path / "transforms.json", json.dumps(values))
+    dataset = opened(tmp_path)
+    assert not dataset.has_depth
+    assert any("transforms.json names no depth; give each" in note for note in source_of(dataset).notes)
+
+
+def test_depth_beside_colmaps_images_is_told(tmp_path: Path) -> None:
+    colmap(tmp_path, binary=True)
+    (tmp_path / "depth").rename(tmp_path / "depth_maps")
+    dataset = opened(tmp_path)
+    (note,) = source_of(dataset).notes
+    assert not dataset.has_depth and "depth_maps/ (1 folder) is not read: depth is read from depth/" in note
+
+
 def test_a_depth_stream_that_ends_early(tmp_path: Path) -> None:
     scannetpp(tmp_path, "stream")
     data = (tmp_path / "depth.bin").read_bytes()
