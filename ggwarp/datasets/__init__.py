@@ -66,7 +66,7 @@ OWN_KINDS = (
     "folder",
 )
 """The modules of the layouts that are read, in the order they are tried."""
-LIVE = ("webcam:", "realsense:")
+LIVE = ("webcam:", "realsense:", "record3d:")
 """What begins so is a camera that is plugged in; ``-`` is frames on standard input."""
 FALLBACK = "office0"
 """The one sequence that the built-in office stands in for where Replica is absent."""
@@ -101,9 +101,9 @@ def open_dataset(
 
     Args:
         seq: a name, looked up under ``data_root`` (also in its folders: Replica, TUM, ...), or a path; ``-``,
-            ``webcam:0`` or ``realsense:``, whose frames come once. ``office`` is the built-in synthetic
-            office, and so is ``office0`` where there is no Replica; ``wall`` is the built-in wall, and
-            :data:`APARTMENTS` the built-in apartment.
+            ``webcam:0``, ``realsense:`` or ``record3d:``, whose frames come once. ``office`` is the built-in
+            synthetic office, and so is ``office0`` where there is no Replica; ``wall`` is the built-in wall,
+            and :data:`APARTMENTS` the built-in apartment.
         data_root: folder of the data sets; need not exist.
         masks: folder of the object masks; None: beside the images, if there; "none": not used.
         faults: of the camera of a built-in scene; None: it has none.
@@ -172,6 +172,10 @@ def _live(seq: str, masks: Masks, intrinsics: Intrinsics | None) -> Dataset:
         from ggwarp.datasets.live.stream import open_stream
 
         return open_stream()
+    if seq.startswith("record3d:"):
+        from ggwarp.datasets.live.record3d import open_record3d
+
+        return open_record3d(which)
     from ggwarp.datasets.live.cameras import open_realsense
 
     return open_realsense(which)

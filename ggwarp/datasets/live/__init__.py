@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frames that come once: from standard input, a webcam, a RealSense camera."""
+"""Frames that come once: from standard input, a webcam, a RealSense camera, a phone."""

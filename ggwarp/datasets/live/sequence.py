@@ -22,6 +22,7 @@ from ggwarp.datasets.base import (
 from ggwarp.datasets.calibration import Calibration
 from ggwarp.datasets.images import shown_size, size_of
 from ggwarp.datasets.source import Source
+from ggwarp.geometry.camera import Camera
 from ggwarp.types import Float32, Float64, Frame
 
 T = TypeVar("T")
@@ -38,12 +39,14 @@ class LivePicture(NamedTuple):
         rgb: [h, w, 3] uint8, RGB, at the colour camera's size.
         depth: [h', w'] float32 metres by the depth camera; None: there is none.
         T_wc: [4, 4] true camera-to-world pose, when known.
+        camera: the colour camera of this picture, where it is another than the sequence's.
     """
 
     timestamp: float
     rgb: NDArray[np.uint8]
     depth: Float32 | None = None
     T_wc: Float64 | None = None
+    camera: Camera | None = None
 
 
 class LiveSequence:
@@ -135,8 +138,8 @@ class LiveSequence:
         return Frame(
             index,
             picture.timestamp,
-            self._rig.colour(picture.rgb),
-            None if depth is None else self._rig.depth(depth),
+            self._rig.colour(picture.rgb, picture.camera),
+            None if depth is None else self._rig.depth(depth, picture.camera),
             T_wc=picture.T_wc,
         )
 

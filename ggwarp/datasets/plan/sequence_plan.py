@@ -104,7 +104,7 @@ def plan_sequence(
     images = [frame.depth for frame in frames if frame.depth is not None]
     median, share = depth_statistics(images)
     warnings = list(source.notes)
-    if not known:
+    if dataset.kind != "synthetic":
         warnings += camera_doubts(camera)
     if images:
         faults = list(depth_faults(images, camera, _attribute(dataset, "depth_scale")))
