@@ -49,10 +49,10 @@ BUILT_IN = ("office", "synthetic", "wall", *APARTMENTS)
 """Names that always mean a built-in scene: the wall, the apartment, or the office."""
 OWN_KINDS = (
     "bags.reader",
-    "readers.stray",
-    "readers.record3d",
-    "readers.polycam",
-    "readers.scanner_app",
+    "phones.stray",
+    "phones.record3d",
+    "phones.polycam",
+    "phones.scanner_app",
     "readers.arkitscenes",
     "readers.scannetpp",
     "readers.scannet",
@@ -61,6 +61,7 @@ OWN_KINDS = (
     "readers.nerfstudio",
     "readers.colmap",
     "readers.icl_nuim",
+    "readers.co_fusion",
     "readers.replica",
     "readers.tum",
     "folder",

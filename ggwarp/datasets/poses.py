@@ -110,6 +110,23 @@ def read_stamped(path: Path) -> tuple[Float64, list[Float64 | None]]:
     return in_seconds(stamps, path, lines)[0], poses
 
 
+def read_numbered(path: Path) -> dict[int, Float64 | None]:
+    """Read ``number tx ty tz qx qy qz qw`` a line, camera-to-world.
+
+    Returns:
+        Number of the frame -> its pose [4, 4], metres; None where the row holds none.
+
+    Raises:
+        DatasetError: a line does not hold 8 numbers, or the first is no frame's.
+    """
+    found: dict[int, Float64 | None] = {}
+    for line, values in read_numbers(path):
+        if len(values) != 8 or not 0 <= values[0] < 1e9 or values[0] != int(values[0]):
+            raise DatasetError(f"{path}:{line}: expected a frame's number, tx ty tz qx qy qz qw")
+        found[int(values[0])] = pose_from_quaternion(values[1:4], values[4:])
+    return found
+
+
 def in_seconds(times: Sequence[float], path: Path, lines: Sequence[int]) -> tuple[Float64, str]:
     """Return ``times`` of a list in seconds, and the name of the unit they are written in.
 

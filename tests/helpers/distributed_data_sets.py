@@ -12,6 +12,7 @@ from pathlib import Path
 import cv2
 import lz4.block
 import numpy as np
+import OpenEXR
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
@@ -223,6 +224,26 @@ def replica_semantic(path: Path) -> None:
     write(path / "traj_w_c.txt", "\n".join(" ".join(map(str, pose(i).ravel())) for i in range(FRAMES)))
 
 
+def co_fusion(path: Path) -> None:
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    rows = []
+    for i in range(FRAMES):
+        rgb, depth = look(COLOUR, pose(i))
+        write(path / f"colour/Color{i + 1:04d}.png", png(rgb))
+        ids = np.where(depth < 1.9, 2, 0).astype(np.uint8)
+        write(path / f"mask_id/Mask{i + 1:04d}.png", png(np.stack([ids] * 3, axis=-1)))
+        write(path / f"mask_colour/Mask{i + 1:04d}.png", png(rgb))
+        for name, noise in (("depth_noise", 0.003), ("depth_original", 0.0)):
+            (path / name).mkdir(exist_ok=True)
+            seen = depth + np.float32(noise)
+            seen[0, 0] = np.inf
+            OpenEXR.File(header, {"Z": seen}).write(str(path / f"{name}/Depth{i + 1:04d}.exr"))
+        rows.append(" ".join(map(str, [i + 1, *pose(i)[:3, 3], *quaternion(pose(i))])))
+    for name in ("cam-0", "car-2"):
+        write(path / f"trajectories/gt-{name}.txt", "\n".join(rows if name == "cam-0" else rows[::-1]))
+    write(path / "calibration.txt", f"{COLOUR.fx} {COLOUR.fy} {COLOUR.cx + 0.5} {COLOUR.cy + 0.5} 80 60\n")
+
+
 LAYOUTS: dict[str, Callable[[Path], object]] = {
     "stray": stray,
     "record3d": record3d_export,
@@ -237,6 +258,7 @@ LAYOUTS: dict[str, Callable[[Path], object]] = {
     "nerfstudio": nerfstudio,
     "nerfstudio-capture": lambda path: nerfstudio(path, capture=True),
     "icl-nuim": icl_nuim,
+    "co-fusion": co_fusion,
     "replica-semantic": replica_semantic,
     "colmap-text": lambda path: colmap(path, binary=False),
     "colmap-binary": lambda path: colmap(path, binary=True),

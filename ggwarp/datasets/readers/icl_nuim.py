@@ -14,12 +14,10 @@ import numpy as np
 
 from ggwarp.datasets.base import DatasetError, Kind, Masks
 from ggwarp.datasets.calibration import Calibration
-from ggwarp.datasets.poses import pose_from_quaternion
+from ggwarp.datasets.poses import read_numbered
 from ggwarp.datasets.sequence import Entry, FileSequence, image_files
 from ggwarp.datasets.source import recorder_source, whole_numbers
-from ggwarp.datasets.text import read_numbers
 from ggwarp.geometry.camera import Camera
-from ggwarp.types import Float64
 
 _CAMERA = Calibration(
     Camera(640, 480, 481.2, 480.0, 319.5, 239.5),
@@ -46,7 +44,10 @@ def open_sequence(path: Path, masks: Masks = None) -> FileSequence:
     if not colour:
         raise DatasetError(f"{path}: the sequence is empty (no numbered images in rgb/)")
     truth = sorted(path.glob("*.gt.freiburg"))[0]
-    poses = _poses(truth)
+    poses = {
+        number: None if pose is None else _MIRROR @ pose @ _MIRROR
+        for number, pose in read_numbered(truth).items()
+    }
     entries = [
         Entry(rgb, depth.get(number), number / _RATE, poses.get(number))
         for number, rgb in sorted(colour.items())
@@ -59,17 +60,6 @@ def open_sequence(path: Path, masks: Masks = None) -> FileSequence:
         truth=f"{truth.name}, mirrored in y",
     )
     return FileSequence(path, "icl-nuim", entries, _CAMERA, masks=masks, source=source)
-
-
-def _poses(path: Path) -> dict[int, Float64 | None]:
-    """Return number of the frame -> its pose, y down."""
-    found: dict[int, Float64 | None] = {}
-    for line, values in read_numbers(path):
-        if len(values) != 8 or not 0 <= values[0] < 1e9 or values[0] != int(values[0]):
-            raise DatasetError(f"{path}:{line}: expected a frame's number, tx ty tz qx qy qz qw")
-        pose = pose_from_quaternion(values[1:4], values[4:])
-        found[int(values[0])] = None if pose is None else _MIRROR @ pose @ _MIRROR
-    return found
 
 
 KIND = Kind("icl-nuim", "ICL-NUIM: rgb/, depth/ and *.gt.freiburg", recognises, open_sequence)

@@ -68,6 +68,25 @@ def test_replica_with_its_own_instances(tmp_path: Path) -> None:
     assert source_of(dataset).unread == ()
 
 
+def test_co_fusion_with_its_own_objects(tmp_path: Path) -> None:
+    LAYOUTS["co-fusion"](tmp_path)
+    dataset = opened(tmp_path)
+    frame, depth = dataset[1], look(COLOUR, pose(1))[1]
+    assert frame.mask is not None and frame.depth is not None
+    np.testing.assert_array_equal(frame.mask, np.where(depth < 1.9, 2, 0))
+    np.testing.assert_allclose(frame.depth.ravel()[1:], depth.ravel()[1:] + 0.003, atol=1e-5)
+    assert frame.depth[0, 0] == 0.0 and frame.timestamp == 2 / 30
+    source = source_of(dataset)
+    assert source.unread == ("depth_original/ (3 .exr)", "mask_colour/ (3 .png)") and not source.notes
+    assert not open_dataset(str(tmp_path), data_root=tmp_path, masks="none").has_masks
+    (tmp_path / "calibration.txt").write_text("360 360 320 240 640 480")
+    with pytest.raises(DatasetError, match=r"is of images of 640x480, but these are 80x60; correct it"):
+        opened(tmp_path)
+    (tmp_path / "calibration.txt").write_text("360 360 320")
+    with pytest.raises(DatasetError, match=r"calibration\.txt: expected one line, fx fy cx cy width height"):
+        opened(tmp_path)
+
+
 def test_sens(tmp_path: Path) -> None:
     path = sens(tmp_path / "scene0000_00.sens")
     dataset = opened(path)

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One file an app: what phones with LiDAR or Face ID record, each opened as a Dataset."""
