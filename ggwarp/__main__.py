@@ -14,6 +14,10 @@ from ggwarp.interruption import Interruption, end_program_after
 COMMANDS: dict[str, tuple[str, str]] = {
     "run": ("ggwarp.run", "follow a recording's camera, and learn a map of its room"),
     "objects": ("ggwarp.editing.__main__", "list, show, remove, move, paint and name a run's objects"),
+    "export": (
+        "ggwarp.export.__main__",
+        "write a run's map or objects for other programs: splats, meshes, ...",
+    ),
     "inspect": ("ggwarp.commands.inspect_sequence", "say what a recording is taken for, and show its frames"),
     "doctor": ("ggwarp.commands.doctor", "say what this machine has, what is missing, and how to get it"),
     "download": ("ggwarp.commands.download", "fetch a sequence from its official archive"),

@@ -37,6 +37,8 @@ _ESSENTIAL = {
 _EXTRAS = {
     "lpips": ("lpips", "LPIPS in the results"),
     "ros": ("rosbags", "ROS bags and MCAP files"),
+    "export": ("gaussforge", "ggwarp export to spz, sog, usd, ..."),
+    "rerun": ("rerun-sdk", "ggwarp export to rerun"),
     "segment": ("torchvision", "ggwarp segment with Mask R-CNN"),
     "benchmark": ("small_gicp", "ggwarp compare-tracking"),
     "test": ("pytest", "the tests"),

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Gaussian maps as PLY files in the 3DGS layout, which viewers know.
 
-float32 ``x y z nx ny nz f_dc_0..2 opacity scale_0..2 rot_0..3`` (opacity a logit, scales logarithms,
-rotations w first), then, where there are any, int32 ``object_id`` and float32 ``id_0..15``, which
-viewers skip. Binary, little-endian.
+float32 ``x y z nx ny nz f_dc_0..2 f_rest_... opacity scale_0..2 rot_0..3`` (opacity a logit, scales
+logarithms, rotations w first), then, where there are any, ``object_id`` and ``id_0..15``, which viewers
+skip. Binary, little-endian. All are float32, also ids (as long as it holds them, up to 2^24): many readers
+take every property for one.
 """
 
 from __future__ import annotations
@@ -41,6 +42,8 @@ _TYPES = {
 _ORDER = {"binary_little_endian": "<", "binary_big_endian": ">"}
 _HEADER_LIMIT = 1 << 20
 _MOST_PROPERTIES = 1000
+_LARGEST_EXACT = 1 << 24
+"""Up to here float32 holds every whole number."""
 _LARGEST_LOGIT = 100.0
 _LARGEST = {
     "means": 1e6,
@@ -58,13 +61,27 @@ class PlyError(ValueError):
     """A PLY file cannot be used: one line with the file, what is wrong and the remedy."""
 
 
-def write_ply(path: str | Path, gaussians: Gaussians) -> None:
+def write_ply(path: str | Path, gaussians: Gaussians, *, sh_degree: int = 0) -> None:
     """Write ``gaussians``; nothing is left half-written.
 
     Rotations are normalised on the way: not every viewer does.
 
+    Args:
+        sh_degree: of the spherical harmonics in the file, 0 to 3; those above 0 are zeros, for readers that
+            insist on them.
+
     Raises:
         OSError: the file cannot be written.
+        ValueError: the arrays' shapes do not fit together.
+    """
+    with atomic_write(path) as file:
+        file.write(ply_bytes(gaussians, sh_degree=sh_degree))
+
+
+def ply_bytes(gaussians: Gaussians, *, sh_degree: int = 0) -> bytes:
+    """Return the file that :func:`write_ply` writes.
+
+    Raises:
         ValueError: the arrays' shapes do not fit together.
     """
     g = gaussians
@@ -73,14 +90,18 @@ def write_ply(path: str | Path, gaussians: Gaussians) -> None:
     unit = np.divide(quats, length, out=np.tile([1.0, 0.0, 0.0, 0.0], (len(quats), 1)), where=length > 0.0)
     columns = {"means": g.means, "colours": g.colours, "opacity_logits": g.opacity_logits}
     columns |= {"log_scales": g.log_scales, "quats": unit}
-    fields = [(name, "<f4") for name in (*_GROUPS["means"], *_NORMAL)]
-    fields += [(name, "<f4") for group in list(_GROUPS)[1:] for name in _GROUPS[group]]
+    rest = tuple(f"f_rest_{i}" for i in range(3 * ((sh_degree + 1) ** 2 - 1)))
+    names = [*_GROUPS["means"], *_NORMAL, *_GROUPS["colours"], *rest]
+    names += [name for group in list(_GROUPS)[2:] for name in _GROUPS[group]]
     if g.object_ids is not None:
-        fields.append(("object_id", "<i4"))
+        names.append("object_id")
     if g.identities is not None:
-        fields += [(name, "<f4") for name in _IDENTITY]
+        names += _IDENTITY
     count = len(quats)
-    table = np.zeros(count, np.dtype(fields))
+    types = dict.fromkeys(names, "<f4")
+    if g.object_ids is not None and np.max(g.object_ids, initial=0) > _LARGEST_EXACT:
+        types["object_id"] = "<i4"
+    table = np.zeros(count, np.dtype(list(types.items())))
     for group, values in columns.items():
         _fill(table, _GROUPS[group], values, group)
     if g.object_ids is not None:
@@ -88,10 +109,8 @@ def write_ply(path: str | Path, gaussians: Gaussians) -> None:
     if g.identities is not None:
         _fill(table, _IDENTITY, g.identities, "identities")
     lines = ["ply", "format binary_little_endian 1.0", "comment ggwarp", f"element vertex {count}"]
-    lines += [f"property {_NAMES[kind]} {name}" for name, kind in fields] + ["end_header\n"]
-    with atomic_write(path) as file:
-        file.write("\n".join(lines).encode())
-        file.write(table.tobytes())
+    lines += [f"property {_NAMES[kind]} {name}" for name, kind in types.items()] + ["end_header\n"]
+    return "\n".join(lines).encode() + table.tobytes()
 
 
 def read_ply(path: str | Path) -> Gaussians:

@@ -124,6 +124,17 @@ def parse_up(text: str) -> Up | None:
         ) from None
 
 
+def joined_up(arguments: list[str]) -> list[str]:
+    """Return ``arguments`` with ``--up -y`` as ``--up=-y``; argparse takes -y for an option."""
+    out: list[str] = []
+    for word in arguments:
+        if out and out[-1] == "--up":
+            out[-1] = f"--up={word}"
+        else:
+            out.append(word)
+    return out
+
+
 def _numbers(value: object, shape: tuple[int, ...], what: str) -> Float64:
     try:
         array = np.asarray(value, np.float64)

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs as recordings for other programs: poses and pictures as another reader finds them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from ggwarp.datasets import open_dataset
+from ggwarp.editing.map_view import MapView
+from ggwarp.export.__main__ import main
+from ggwarp.geometry import se3
+from ggwarp.geometry.upright import rotation_to
+from ggwarp.io.trajectory import read_tum
+from small_run import CAMERA, decibels
+
+
+def exported(run_folder: Path, kind: str) -> Path:
+    assert main([str(run_folder), "--up", "-y", "--to", kind, "--rendered"]) == 0
+    return run_folder / "export" / kind
+
+
+@pytest.mark.parametrize(("kind", "convention"), [("colmap", "y-down"), ("nerfstudio", "z-up")])
+def test_it_is_opened_as_a_recording(run_folder: Path, scene, kind: str, convention: str) -> None:
+    dataset = open_dataset(str(exported(run_folder, kind)), data_root=run_folder)
+    _, poses = read_tum(run_folder / "trajectory.txt")
+    assert len(dataset) == len(poses)
+    camera = dataset.camera
+    assert (camera.width, camera.height) == (96, 64)
+    assert np.allclose([camera.fx, camera.fy, camera.cx, camera.cy], [80.0, 80.0, 47.5, 31.5], atol=1e-6)
+    T = np.eye(4)
+    T[:3, :3] = rotation_to(convention, np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0]))
+    for index in (0, 2):
+        frame = dataset.load(index) if hasattr(dataset, "load") else dataset[index]
+        assert frame.T_wc is not None
+        between = se3.inverse(T @ poses[index]) @ frame.T_wc
+        assert np.allclose(between, np.eye(4), atol=1e-5)
+        seen = MapView(scene, CAMERA).render(poses[index])
+        assert decibels(frame.rgb / 255.0, seen.rgb) > 40.0
+        if kind == "nerfstudio":
+            assert frame.depth is not None
+            assert np.abs(frame.depth - seen.surface_depth).max() < 0.002
+
+
+def test_pycolmap_reads_it(run_folder: Path, scene) -> None:
+    pycolmap = pytest.importorskip("pycolmap")
+    folder = exported(run_folder, "colmap")
+    model = pycolmap.Reconstruction(folder / "sparse" / "0")
+    assert len(model.images) == 5 and len(model.points3D) == int((scene.opacity_logits > 0.0).sum())
+    # A point of the map projects to where the picture has its colour.
+    red = scene.means[(scene.object_ids == 5) & (scene.means[:, 2] < 1.81)].mean(axis=0)
+    for number, image in model.images.items():
+        if number == 5:
+            continue
+        u, v = model.cameras[image.camera_id].img_from_cam(image.cam_from_world() * red)
+        picture = cv2.imread(str(folder / "images" / image.name))
+        b, g, r = picture[int(v), int(u)].astype(int)
+        assert r > 2 * g and r > 2 * b
+
+
+def test_rerun_log_is_written_with_every_frame(run_folder: Path) -> None:
+    pytest.importorskip("rerun")
+    assert main([str(run_folder), "--up", "-y", "--to", "rrd"]) == 0
+    data = (run_folder / "export" / "map.rrd").read_bytes()
+    assert data[:3] == b"RRF"
+    for entity in (b"world/map", b"world/camera", b"world/objects/5", b"world/path"):
+        assert entity in data
