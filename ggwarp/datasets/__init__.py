@@ -39,6 +39,7 @@ __all__ = [
     "Kind",
     "SyntheticOffice",
     "WithoutDepth",
+    "is_there",
     "open_dataset",
     "register",
 ]
@@ -157,6 +158,11 @@ def _deeper(folder: Path, kinds: list[Kind]) -> Path | None:
     ]
     found = (path for path in (*inside, *deeper) if any(kind.recognises(path) for kind in kinds))
     return next(found, None)
+
+
+def is_there(seq: str, data_root: Path) -> bool:
+    """Return whether :func:`open_dataset` finds something of that name, and would not stand in for it."""
+    return seq in BUILT_IN or any(path.exists() for path in _candidates(seq, Path(data_root)))
 
 
 def _live(seq: str, masks: Masks, intrinsics: Intrinsics | None) -> Dataset:

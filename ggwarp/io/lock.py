@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import re
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 
@@ -31,6 +33,23 @@ def lock_folder(folder: Path) -> int | None:
             raise
         return None
     return file
+
+
+@contextlib.contextmanager
+def exclusive(path: Path) -> Iterator[None]:
+    """Hold the file ``path``, made where it is not there, for this program alone; wait for another one.
+
+    Where the system knows no locks, nothing is waited for.
+
+    Raises:
+        OSError: the file cannot be made.
+    """
+    with path.open("a") as file:
+        with contextlib.suppress(ImportError, OSError):
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX)
+        yield
 
 
 def in_use(folder: Path) -> bool:

@@ -127,11 +127,11 @@ def _lines(config: Any, section: str) -> list[str]:
             name = f"{section}.{field.name}" if section else field.name
             nested += ["", f"[{name}]", *_lines(value, name)]
         elif value is not None:
-            lines.append(f"{field.name} = {_text(value)}")
+            lines.append(f"{field.name} = {toml_value(value)}")
     return lines + nested
 
 
-def _text(value: Any) -> str:
+def toml_value(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, (int, float)):
@@ -139,7 +139,7 @@ def _text(value: Any) -> str:
     if isinstance(value, (str, Path)):
         return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, (tuple, list)):
-        return "[" + ", ".join(_text(v) for v in value) + "]"
+        return "[" + ", ".join(toml_value(v) for v in value) + "]"
     raise TypeError(f"no TOML for {value!r}")
 
 
