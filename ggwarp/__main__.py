@@ -18,6 +18,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "ggwarp.export.__main__",
         "write a run's map or objects for other programs: splats, meshes, ...",
     ),
+    "suite": ("ggwarp.suite.command", "run many recordings with many settings, and print papers' tables"),
     "inspect": ("ggwarp.commands.inspect_sequence", "say what a recording is taken for, and show its frames"),
     "doctor": ("ggwarp.commands.doctor", "say what this machine has, what is missing, and how to get it"),
     "download": ("ggwarp.commands.download", "fetch a sequence from its official archive"),

@@ -51,6 +51,8 @@ ALLOWED: dict[str, set[str]] = {
     "session": {"types", "runtime", "io", "datasets", "evaluation", "results"}
     | {"config", "console", "interruption", "preparation", "messages", "saving", "checkpointing", *_SYSTEM},
     "run": {"io", "datasets", "config", "console", "interruption", "session"},
+    "suite": {"runtime", "io", "datasets", "results", "config", "console", "interruption", "run"}
+    | {"pipeline", "pipeline.tracking"},
     "commands": {"types", "geometry", "runtime", "io", "datasets", "evaluation", *_SYSTEM},
 }  # fmt: skip
 """Room -> the rooms it may import (itself aside). A room is a folder and all in it, or a file at the top."""
