@@ -40,6 +40,7 @@ _EXTRAS = {
     "export": ("gaussforge", "ggwarp export to spz, sog, usd, ..."),
     "rerun": ("rerun-sdk", "ggwarp export to rerun"),
     "segment": ("torchvision", "ggwarp segment with Mask R-CNN"),
+    "cluster": ("ray", "ggwarp suite --ray"),
     "benchmark": ("small_gicp", "ggwarp compare-tracking"),
     "test": ("pytest", "the tests"),
 }
