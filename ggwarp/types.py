@@ -32,6 +32,8 @@ class Frame:
         T_wc: [4, 4] float64 true camera-to-world pose, when known. Never read by tracking.
         sensor_depth: [H, W] float32 metres, depth at the sensor's own resolution (tracking
             uses it whatever the image scale); None: same as ``depth``.
+        depth_weight: [H, W] float32 of the size of ``sensor_depth``, or else of ``depth``: how much each
+            reading counts, 0 to 1 for the surest; None: all alike.
         depth_timestamp: seconds, when the depth was taken; None: together with the colour.
         native_mask: [H, W] int32 ``mask`` at its own resolution, which objects are measured at; None: as
             ``mask``. For evaluation alone.
@@ -49,6 +51,7 @@ class Frame:
     depth_timestamp: float | None = None
     true_mask: NDArray[np.int32] | None = None
     native_mask: NDArray[np.int32] | None = None
+    depth_weight: Float32 | None = None
 
 
 @dataclass(frozen=True)

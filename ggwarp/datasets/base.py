@@ -108,7 +108,9 @@ class WithoutDepth:
         return len(self.inner)
 
     def __getitem__(self, index: int) -> Frame:
-        return replace(self.inner[index], depth=None, sensor_depth=None, depth_timestamp=None)
+        return replace(
+            self.inner[index], depth=None, sensor_depth=None, depth_weight=None, depth_timestamp=None
+        )
 
 
 @runtime_checkable

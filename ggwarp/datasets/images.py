@@ -32,6 +32,8 @@ COLOUR_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".ppm", ".pgm", ".tif", ".ti
 DEPTH_SUFFIXES = (".png", ".pgm", ".tif", ".tiff", ".exr", ".npy", ".npz")
 _NEAREST, _FARTHEST = 1e-3, 1e5
 """Metres; depth of less or more is rubbish."""
+_ARKIT_SURE = 2
+"""Of ARKit's confidences, low, medium and high: 0, 1 and 2."""
 _NO_READING = 65535
 """A saturated 16-bit reading is none (Kinect recordings mark holes with it, too)."""
 
@@ -234,6 +236,18 @@ def read_confidence(path: Path) -> NDArray[np.uint8]:
             f"{path}: is of {image.dtype} with {image.ndim} axes; confidence is one channel of uint8"
         )
     return image
+
+
+def weighted(depth: Float32, confidence: NDArray[np.uint8]) -> tuple[Float32, Float32 | None]:
+    """Return depth [h, w] without the readings of no confidence, and what the others count [h, w] float32.
+
+    A reading counts in proportion to its confidence, 0 to 2 (ARKit's) or 0 to 255, as its variance is the
+    inverse; None in the weights' place: all count fully.
+    """
+    top = np.float32(_ARKIT_SURE if confidence.max(initial=0) <= _ARKIT_SURE else 255)
+    weights = (confidence / top).astype(np.float32)
+    depth = np.where(weights > 0.0, depth, np.float32(0.0))
+    return depth, weights if (weights[depth > 0.0] < 1.0).any() else None
 
 
 def size_of(image: NDArray) -> Size:

@@ -41,13 +41,13 @@ class KeptFrames:
         return len(self._frames)
 
     def keep(self, frame: Frame) -> None:
-        """Hold ``frame``, without its sensor's depth, if there is room."""
+        """Hold ``frame``, without its sensor's depth and its weights, if there is room."""
         pictures = (frame.rgb, frame.depth, frame.mask, frame.native_mask, frame.true_mask)
         images = {id(image): image for image in pictures if image is not None}
         size = sum(image.nbytes for image in images.values())
         if size <= self.room:
             self.room -= size
-            self._frames[frame.index] = dataclasses.replace(frame, sensor_depth=None)
+            self._frames[frame.index] = dataclasses.replace(frame, sensor_depth=None, depth_weight=None)
 
     def again(self, indices: Iterable[int]) -> Iterator[Frame]:
         """Yield the frames ``indices``, in that order; those are left out that can no longer be read."""

@@ -12,13 +12,14 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ggwarp.datasets.base import DatasetError
-from ggwarp.datasets.resize import enlarge_depth, reduce_depth, sample_depth
+from ggwarp.datasets.resize import enlarge_depth, reduce_depth, resize_nearest, sample_depth
 from ggwarp.geometry.camera import Camera
 from ggwarp.types import Float32, Float64
 
@@ -110,7 +111,7 @@ class Rig:
     ) -> NDArray[np.int32] | None:
         """Return labels drawn on a colour picture [h, w] as the frames' camera sees them; 0 outside."""
         found = self._map_of(camera)
-        return mask if found is None or mask is None else found.labels(mask)
+        return mask if found is None or mask is None else found.nearest(mask)
 
     def depth(self, depth: Float32, camera: Camera | None = None) -> Float32:
         """Return a depth picture [h', w'] metres on the pixels of the frames [h, w]; 0 = no reading."""
@@ -127,6 +128,20 @@ class Rig:
         if self._map is not None:  # no depth where the undistorted picture has no colour
             depth = np.where(self._map.seen, depth, np.float32(0.0))
         return depth
+
+    def weights(self, weights: Float32, camera: Camera | None = None) -> Float32 | None:
+        """Return weights of the readings of a depth picture [h', w'] on the pixels of the frames [h, w].
+
+        None where depth is by a lens of its own: readings then move, each by its depth.
+        """
+        target = self.camera
+        if self._depth is not None:
+            return None
+        if not self._depth_distorted and camera not in (None, target):
+            source = camera.resized(weights.shape[1], weights.shape[0])
+            return _Map.between(source, target).nearest(weights)
+        weights = resize_nearest(weights, target.width, target.height)
+        return self._map.nearest(weights) if self._depth_distorted and self._map is not None else weights
 
     def _map_of(self, camera: Camera | None) -> _Map | None:
         if camera is None or camera == self.camera:
@@ -214,10 +229,11 @@ class _Map:
     def colour(self, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
         return np.asarray(cv2.remap(rgb, self._u, self._v, cv2.INTER_LINEAR), np.uint8)
 
-    def labels(self, mask: NDArray[np.int32]) -> NDArray[np.int32]:
+    def nearest(self, image: NDArray[Any]) -> NDArray[Any]:
+        """Return an image [h', w'] whose values are not mixed; 0 outside."""
         rows = np.rint(np.where(self.seen, self._v, 0.0)).astype(np.intp)
         columns = np.rint(np.where(self.seen, self._u, 0.0)).astype(np.intp)
-        return np.where(self.seen, mask[rows, columns], 0)
+        return np.where(self.seen, image[rows, columns], image.dtype.type(0))
 
     def depth(self, depth: Float32) -> Float32:
         return sample_depth(depth, self._u, self._v)

@@ -23,6 +23,7 @@ from ggwarp.datasets.images import (
     read_depth,
     shown_size,
     size_of,
+    weighted,
 )
 from ggwarp.datasets.masks import find_masks, find_true_masks, masks_left_out, with_mask
 from ggwarp.datasets.pairing import frame_numbers, in_order
@@ -85,7 +86,8 @@ class FileSequence:
     """A :class:`ggwarp.datasets.base.Dataset` read from image files.
 
     Colour (and masks, drawn on colour) are undistorted where the calibration has a distortion, and depth is
-    brought onto colour's pixels: see :mod:`ggwarp.datasets.rig`.
+    brought onto colour's pixels: see :mod:`ggwarp.datasets.rig`. Where readings have a confidence, it is
+    their weight (:func:`ggwarp.datasets.images.weighted`).
     """
 
     def __init__(
@@ -96,13 +98,11 @@ class FileSequence:
         calibration: Calibration,
         *,
         masks: Masks = None,
-        least_confidence: int = 1,
         source: Source = NO_SOURCE,
     ) -> None:
         """Open the sequence.
 
         Args:
-            least_confidence: depth of less is left out, where frames have a confidence.
             source: where its parts come from; what the calibration and the masks know is added here.
 
         Raises:
@@ -121,7 +121,6 @@ class FileSequence:
         if fault := size_fault(**dataclasses.asdict(self.camera)):  # nothing of it could be held
             raise DatasetError(f"{root}: its camera cannot be right: {fault}")
         self._rig = calibration.rig()
-        self._least_confidence = least_confidence
         self.stems = [entry.rgb.stem for entry in entries]
         """Each frame's name, as its mask has it."""
         size = (self.camera.width, self.camera.height)
@@ -172,9 +171,15 @@ class FileSequence:
         entry = self._entries[index]
         taken = entry.camera or self.camera
         rgb = self._rig.colour(self._colour(entry, (taken.width, taken.height)), entry.camera)
-        depth = self._depth(entry)
+        depth, weight = self._depth(entry)
         frame = Frame(
-            index, entry.timestamp, rgb, depth, T_wc=entry.T_wc, depth_timestamp=entry.depth_timestamp
+            index,
+            entry.timestamp,
+            rgb,
+            depth,
+            T_wc=entry.T_wc,
+            depth_timestamp=entry.depth_timestamp,
+            depth_weight=weight,
         )
         if self._true_masks:
             frame = dataclasses.replace(frame, true_mask=self._seen(self._true_masks.read(index), taken))
@@ -188,7 +193,7 @@ class FileSequence:
         Raises:
             FrameError: as indexing.
         """
-        return self._depth(self._entries[index])
+        return self._depth(self._entries[index])[0]
 
     def mask_of(self, index: int) -> NDArray[np.int32] | None:
         """Return frame ``index``'s mask [h, w] alone, as the frame has it; None where there is none."""
@@ -216,9 +221,10 @@ class FileSequence:
                 f"{size[0]}x{size[1]}; correct the camera file, or export the image again"
             ) from None
 
-    def _depth(self, entry: Entry) -> Float32 | None:
+    def _depth(self, entry: Entry) -> tuple[Float32 | None, Float32 | None]:
+        """Return depth and, where its readings are not all as sure, their weights."""
         if not self.has_depth:
-            return None
+            return None, None
         if entry.depth is None:
             raise FrameError(f"{entry.rgb}: there is no depth image of this frame")
         if isinstance(entry.depth, Path):
@@ -234,18 +240,21 @@ class FileSequence:
                 f"{entry.depth}: {shown_size(size_of(depth))}, but other depth images are "
                 f"{shown_size(self._depth_size)}; export it again"
             )
+        weights = None
         if entry.confidence is not None:
-            depth = self._confident(depth, entry.confidence)
-        return self._rig.depth(depth, entry.camera)
+            depth, weights = weighted(depth, self._confidence(depth, entry.confidence))
+        if weights is not None:
+            weights = self._rig.weights(weights, entry.camera)
+        return self._rig.depth(depth, entry.camera), weights
 
-    def _confident(self, depth: Float32, source: Path | Picture) -> Float32:
-        """Return ``depth`` without the readings that are not to be trusted."""
+    def _confidence(self, depth: Float32, source: Path | Picture) -> NDArray[np.uint8]:
+        """Return the confidence of each reading of ``depth``."""
         confidence = read_confidence(self._inside(source)) if isinstance(source, Path) else source.read()
         if confidence.shape != depth.shape:
             raise FrameError(
                 f"{source}: {shown_size(size_of(confidence))}, but the depth is {shown_size(size_of(depth))}"
             )
-        return np.where(confidence >= self._least_confidence, depth, np.float32(0.0))
+        return confidence
 
     def _inside(self, path: Path) -> Path:
         try:

@@ -145,7 +145,7 @@ def recorder_source(
     if 0 < depth < count:
         pairing += f"; {count - depth} of {count} colour images have no depth"
     if sure:
-        pairing += "; depth of least confidence is left out"
+        pairing += "; depth counts by its confidence, without the least"
     return Source(
         layout=layout,
         pairing=pairing if depth else "",

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from ggwarp.datasets import DatasetError, FrameError
-from ggwarp.datasets.images import image_size, read_colour, read_depth
+from ggwarp.datasets.images import image_size, read_colour, read_depth, weighted
 
 
 @pytest.fixture
@@ -22,6 +22,19 @@ def png(tmp_path: Path, rng: np.random.Generator, sample: SimpleNamespace) -> Pa
 @pytest.fixture
 def jpg(tmp_path: Path, rng: np.random.Generator, sample: SimpleNamespace) -> Path:
     return sample.save(tmp_path / "colour.jpg", rng.integers(0, 255, (40, 50, 3)).astype(np.uint8))
+
+
+def test_confidence_is_a_weight_and_the_least_leaves_readings_out() -> None:
+    depth = np.float32([[1.0, 2.0, 3.0, 0.0]])
+    seen, weights = weighted(depth, np.uint8([[0, 1, 2, 1]]))
+    np.testing.assert_array_equal(seen, [[0.0, 2.0, 3.0, 0.0]])
+    assert weights is not None
+    np.testing.assert_array_equal(weights, [[0.0, 0.5, 1.0, 0.5]])
+    np.testing.assert_allclose(
+        weighted(depth, np.uint8([[255, 127, 255, 0]]))[1], [[1.0, 127 / 255, 1.0, 0.0]]
+    )
+    seen, weights = weighted(depth, np.uint8([[2, 2, 0, 1]]))
+    assert weights is None and seen[0, 2] == 0.0, "those that are left are all as sure"
 
 
 def test_depth_is_raw_over_scale(png: Path) -> None:

@@ -192,3 +192,29 @@ def test_edges_tell_whether_depth_is_bent_as_colour(
     (tmp_path / "camera.json").write_text(told)
     other = open_dataset(str(tmp_path), data_root=tmp_path)[1].depth
     assert other is not None and not np.array_equal(other, got), "the file's word goes first"
+
+
+@pytest.mark.parametrize("size", [(160, 120), (40, 30)])
+@pytest.mark.parametrize(
+    ("rig", "camera"),
+    [
+        (Rig(Lens(COLOUR)), None),
+        (Rig(Lens(COLOUR, BENT)), None),
+        (Rig(Lens(COLOUR, BENT), depth_distorted=True), None),
+        (Rig(Lens(COLOUR)), Camera(160, 120, 150.0, 151.0, 78.0, 61.0)),
+    ],
+    ids=["as it is", "bent colour", "bent depth", "another focal length"],
+)
+def test_weights_stay_with_their_readings(rig: Rig, camera: Camera | None, size: tuple[int, int]) -> None:
+    """Surfaces at 1 m count half, at 2 m fully: wherever a reading goes, its weight is there."""
+    v, u = np.mgrid[: size[1], : size[0]]
+    depth = np.where((u // (size[0] // 5) + v // (size[1] // 5)) % 2 == 0, 1.0, 2.0).astype(np.float32)
+    got, weights = rig.depth(depth, camera), rig.weights(depth / 2.0, camera)
+    assert weights is not None and weights.shape == got.shape and weights.dtype == np.float32
+    read = (got > 0.0) & (weights > 0.0)
+    assert read.sum() > 0.9 * (got > 0.0).sum()
+    assert np.mean(weights[read] == np.rint(got[read]) / 2.0) > 0.99
+
+
+def test_registered_readings_have_no_weights() -> None:
+    assert Rig(Lens(COLOUR), depth=Lens(DEPTH)).weights(np.ones((66, 80), np.float32)) is None

@@ -65,7 +65,7 @@ def frame(i: int) -> bytes:
     focal = LONGER if i == 1 else 1.0
     camera = replace(COLOUR, fx=focal * COLOUR.fx, fy=focal * COLOUR.fy)
     sure = np.full(_SMALL[::-1], 2, np.uint8)
-    sure[:2] = 0
+    sure[:2], sure[2:4] = 0, 1
     parts = (
         jpeg(look(camera, pose(i))[0]),
         lzfse.compress(look(camera.resized(*_SMALL), pose(i))[1].astype("<f4").tobytes()),

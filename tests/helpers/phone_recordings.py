@@ -42,7 +42,7 @@ def stray(path: Path, *, own_cameras: bool = False) -> Path:
         depth = look(SMALL, pose(i))[1]
         write(path / f"depth/{i:06d}.png", png(millimetres(depth)))
         sure = np.full(depth.shape, 2, np.uint8)
-        sure[:2] = 0
+        sure[:2], sure[2:6] = 0, 1
         write(path / f"confidence/{i:06d}.png", png(sure))
         values = [i / 60, i, *pose(i)[:3, 3], *quaternion(pose(i))]
         values += [COLOUR.fx, COLOUR.fy, COLOUR.cx, COLOUR.cy] if own_cameras else []

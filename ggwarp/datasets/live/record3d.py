@@ -17,7 +17,7 @@ import numpy as np
 
 from ggwarp.datasets.base import DatasetError
 from ggwarp.datasets.calibration import Calibration
-from ggwarp.datasets.images import metres, size_of
+from ggwarp.datasets.images import metres, size_of, weighted
 from ggwarp.datasets.live.sequence import LivePicture, LiveSequence, Newest
 from ggwarp.datasets.poses import opencv_axes, pose_from_quaternion
 from ggwarp.geometry.camera import Camera
@@ -27,7 +27,6 @@ PATIENCE_S = 30.0
 """How long the first picture may take, for which the app's button is pressed."""
 _SILENCE_S = 5.0
 """How long no picture may come before the stream has ended."""
-_LEAST_CONFIDENCE = 1
 _MILLIMETRES = 1000.0
 
 
@@ -128,9 +127,9 @@ def _camera(arrival: _Arrival) -> Camera:
 
 
 def _picture(arrival: _Arrival) -> LivePicture:
-    pose, depth = arrival.pose, metres(np.asarray(arrival.depth))
+    pose, depth, weight = arrival.pose, metres(np.asarray(arrival.depth)), None
     if np.shape(arrival.confidence) == depth.shape:
-        depth = np.where(np.asarray(arrival.confidence) >= _LEAST_CONFIDENCE, depth, np.float32(0.0))
+        depth, weight = weighted(depth, np.asarray(arrival.confidence))
     T_wc = pose_from_quaternion((pose.tx, pose.ty, pose.tz), (pose.qx, pose.qy, pose.qz, pose.qw))
     rgb = np.asarray(arrival.rgb, np.uint8)
-    return LivePicture(arrival.time, rgb, depth, opencv_axes(T_wc), camera=_camera(arrival))
+    return LivePicture(arrival.time, rgb, depth, opencv_axes(T_wc), weight, _camera(arrival))

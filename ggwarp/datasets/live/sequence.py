@@ -39,6 +39,7 @@ class LivePicture(NamedTuple):
         rgb: [h, w, 3] uint8, RGB, at the colour camera's size.
         depth: [h', w'] float32 metres by the depth camera; None: there is none.
         T_wc: [4, 4] true camera-to-world pose, when known.
+        depth_weight: [h', w'] float32 how much each reading counts, 0 to 1; None: all alike.
         camera: the colour camera of this picture, where it is another than the sequence's.
     """
 
@@ -46,6 +47,7 @@ class LivePicture(NamedTuple):
     rgb: NDArray[np.uint8]
     depth: Float32 | None = None
     T_wc: Float64 | None = None
+    depth_weight: Float32 | None = None
     camera: Camera | None = None
 
 
@@ -127,7 +129,7 @@ class LiveSequence:
         wanted, found = (self.camera.width, self.camera.height), size_of(picture.rgb)
         if found != wanted:
             raise FrameError(f"{self.name}: frame {index} is {shown_size(found)}, not {shown_size(wanted)}")
-        depth = picture.depth
+        depth, weight = picture.depth, picture.depth_weight
         if self.has_depth and depth is None:
             raise FrameError(f"{self.name}: frame {index} has no depth")
         if depth is not None and not self._rig.fits(*size_of(depth)):
@@ -141,6 +143,7 @@ class LiveSequence:
             self._rig.colour(picture.rgb, picture.camera),
             None if depth is None else self._rig.depth(depth, picture.camera),
             T_wc=picture.T_wc,
+            depth_weight=None if weight is None else self._rig.weights(weight, picture.camera),
         )
 
 

@@ -96,18 +96,15 @@ def normalise_scales(scales: Any, *, out: Any, device: Any) -> None:
 
 @wp.kernel
 def _plane_scales(
-    points: wp.array[wp.vec3],
     spreads: wp.array[wp.vec3],
-    noise_floor: float,
-    noise_growth: float,
+    deviations: wp.array[wp.float32],
     noise_share: float,
     neighbours: int,
     slip: float,
     scales: wp.array[wp.vec3],
 ):
     i = wp.tid()
-    z = points[i][2]
-    noise = noise_floor + noise_growth * z * z
+    noise = deviations[i]
     extent = spreads[i]
     across = wp.sqrt(noise * noise + extent[2] * extent[2])
     # A plane through k readings of deviation s, spread over e, is tilted by s / (sqrt(k) e).
@@ -118,11 +115,9 @@ def _plane_scales(
 
 
 def plane_scales(
-    points: Any,
     spreads: Any,
     *,
-    noise_floor: float,
-    noise_growth: float,
+    noise: Any,
     noise_share: float,
     neighbours: int,
     slip: float,
@@ -139,9 +134,8 @@ def plane_scales(
     only those would count whose normals happen to agree.
 
     Args:
-        points: [n] wp.vec3, camera frame, metres.
         spreads: [n] wp.vec3, the neighbourhood's standard deviations, falling, metres.
-        noise_floor, noise_growth: standard deviation of depth, noise_floor + noise_growth z^2, metres.
+        noise: [n] float32, standard deviation of each point's depth, metres.
         noise_share: how much of it there is: that tilts the normals.
         neighbours: readings in a neighbourhood.
         slip: largest standard deviation along the surface, metres.
@@ -149,8 +143,8 @@ def plane_scales(
     """
     wp.launch(
         _plane_scales,
-        dim=points.shape[0],
-        inputs=[points, spreads, noise_floor, noise_growth, noise_share, neighbours, slip],
+        dim=spreads.shape[0],
+        inputs=[spreads, noise, noise_share, neighbours, slip],
         outputs=[scales],
         device=device,
     )

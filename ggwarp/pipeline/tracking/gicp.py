@@ -185,7 +185,8 @@ class GicpTracker(Stateful):
         image = frame.depth if frame.sensor_depth is None else frame.sensor_depth
         if image is None:
             raise ValueError(f"frame {frame.index} has no depth: GICP tracking needs it")
-        return observe(image, self._camera, self._config, device=self._device)
+        weights = frame.depth_weight
+        return observe(image, self._camera, self._config, weights=weights, device=self._device)
 
     def _aim(self, target: MapSnapshot, spacing: float) -> None:
         """Prepare the map for registration, unless it is the one already prepared."""

@@ -35,6 +35,9 @@ _CORRELATION = 0.7
 _MIN_NOISE = 0.05
 """Least noise that is assumed, as a share of the sensor's model."""
 
+_MIN_WEIGHT = 1e-3
+"""Of a reading: what is less sure is as free as ever."""
+
 _SAME_SURFACE = 0.05
 """Readings farther apart than this share of their depth are on two surfaces."""
 
@@ -72,7 +75,8 @@ class Observation:
         stride: pixels between samples.
         spacing: median distance between neighbouring points, metres.
         spreads: [n] wp.vec3, metres, along and across the surface: the cloud's covariances.
-        noise: [n] float32 on the host, metres, the sensor's standard deviation at each point.
+        noise: [n] float32 on the host, metres, the sensor's standard deviation at each point, larger where a
+            reading counts for less.
         noise_share: what the frame shows of it, see :func:`measured_noise`.
     """
 
@@ -97,8 +101,18 @@ class Observation:
         return semidefinite(across) / (max(self.noise_share, _MIN_NOISE) * _CORRELATION) ** 2
 
 
-def observe(image: Float32, camera: Camera, config: ObservationConfig, *, device: Any) -> Observation:
+def observe(
+    image: Float32,
+    camera: Camera,
+    config: ObservationConfig,
+    *,
+    weights: Float32 | None = None,
+    device: Any,
+) -> Observation:
     """Sample ``image`` [h, w] (metres, 0 = no reading) and fit an ellipse to each point.
+
+    Args:
+        weights: [h, w] how much each reading counts, to 1, its variance being the inverse; None: all alike.
 
     Raises:
         ValueError: an image that is not of the camera's size.
@@ -132,10 +146,13 @@ def observe(image: Float32, camera: Camera, config: ObservationConfig, *, device
     spacing = float(np.median(z)) * stride / camera.fx if n else 0.0
     quats, scales = fit_ellipses(points, pixels, camera, stride=stride, k=_NEIGHBOURS, device=device)
     noise = config.depth_noise(z)
+    if weights is not None:
+        u, v = to_host(pixels).T
+        noise /= np.sqrt(np.maximum(weights[v, u], _MIN_WEIGHT))
     noise_share = measured_noise(
         to_host(points), to_host(quats), to_host(scales), to_host(pixels), stride, noise
     )
-    spreads = _spreads(points, scales, config, noise_share, device)
+    spreads = _spreads(scales, noise, noise_share, device)
     covariances = _empty(n, wp.mat33, device)
     covariance.build_covariances(quats, spreads, covariances=covariances, device=device)
     cloud = Cloud(points, covariances)
@@ -170,13 +187,11 @@ def fit_ellipses(
     return quats, scales
 
 
-def _spreads(points: Any, scales: Any, config: ObservationConfig, noise_share: float, device: Any) -> Any:
-    spreads = _empty(points.shape[0], wp.vec3, device)
+def _spreads(scales: Any, noise: Float32, noise_share: float, device: Any) -> Any:
+    spreads = _empty(scales.shape[0], wp.vec3, device)
     covariance.plane_scales(
-        points,
         scales,
-        noise_floor=config.noise_floor,
-        noise_growth=config.noise_growth,
+        noise=wp.array(noise, dtype=float, device=device),
         noise_share=noise_share,
         neighbours=_NEIGHBOURS,
         slip=_SLIP,

@@ -52,6 +52,7 @@ def test_a_phones_frames_have_depth_camera_and_truth(phone: FakePhone, which: st
         frames.append(dataset[i])
     check_truth(Held(frames))  # pyright: ignore[reportArgumentType]
     assert (frames[0].depth[:6] == 0).all(), "low confidence is left out"
+    assert frames[0].depth_weight[9:14].max() == 0.5 and frames[0].depth_weight[20:].min() == 1.0
     assert dropped_frames(dataset) == 0
     plan = plan_sequence(dataset)
     assert plan.layout.startswith(f"Record3D's USB stream of {UDID}, as they come") and not plan.warnings

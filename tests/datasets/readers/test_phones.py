@@ -21,6 +21,9 @@ def test_stray_scanner(tmp_path: Path, own_cameras: bool) -> None:
     depth = dataset[2].depth
     assert depth is not None and (depth[:6] == 0).all(), "low confidence is left out"
     assert (depth[12:] > 0).all()
+    weight = dataset[2].depth_weight
+    assert weight is not None and weight.shape == depth.shape
+    assert (weight[10:22] == 0.5).all() and (weight[26:] == 1.0).all(), "medium confidence counts half"
     assert dataset[0].rgb.shape == dataset[2].rgb.shape
 
 

@@ -76,14 +76,11 @@ def test_scales_are_divided_by_their_median(device):
 
 @pytest.mark.parametrize("noise_share", [0.0, 0.5])
 def test_a_point_is_as_free_along_its_surface_as_its_normal_is_sure(device, noise_share):
-    points = wp.array(np.float32([[0, 0, 1], [1, 2, 3], [0, 0, 1]]), dtype=wp.vec3, device=device)
     spreads = np.float32([[0.03, 0.02, 0.0], [0.03, 0.02, 0.04], [0.0, 0.0, 0.0]])
     scales = wp.zeros(3, dtype=wp.vec3, device=device)
     plane_scales(
-        points,
         wp.array(spreads, dtype=wp.vec3, device=device),
-        noise_floor=0.001,
-        noise_growth=0.002,
+        noise=wp.array([0.003, 0.019, 0.003], dtype=float, device=device),
         noise_share=noise_share,
         neighbours=9,
         slip=0.5,

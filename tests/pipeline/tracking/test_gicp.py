@@ -101,6 +101,18 @@ def test_the_result_carries_the_points():
     assert result.overlap == points.overlap == np.isfinite(points.distances2).mean()
 
 
+def test_readings_of_less_confidence_count_less():
+    """Every second patch reads too far by a deviation: the less it counts, the less it moves the camera."""
+    v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
+    unsure, depth = (v // 20 + u // 20) % 2 == 0, depth_from(pose(1))
+    biased = np.where(unsure, depth + CONFIG.depth_noise(depth), depth).astype(np.float32)
+    errors = []
+    for weight in (None, 0.5, 0.1):
+        weights = None if weight is None else np.where(unsure, weight, 1.0).astype(np.float32)
+        errors.append(error(Session().track(frame(1, biased, depth_weight=weights)), 1)[0])
+    assert errors[1] < 0.9 * errors[0] and errors[2] < 0.5 * errors[0]
+
+
 @pytest.mark.parametrize("seed", [0, 1])
 def test_garbage_is_lost_and_the_pose_predicted(rng, seed):
     session = Session()

@@ -39,3 +39,15 @@ def test_noisy_points_are_held_along_their_surface(device: str, rng: np.random.G
     # A plane through ten readings is known to a tilt of noise / (sqrt(10) extent).
     assert 2.0 * extent < along[1] < 6.0 * extent
     assert (noisy.spreads.numpy()[:, :2] >= noisy.spreads.numpy()[:, 2:]).all(), "no needles"
+
+
+def test_what_counts_less_is_as_uncertain(device: str) -> None:
+    depth = planes(0.0, np.random.default_rng(0))
+    weights = np.ones(depth.shape, np.float32)
+    weights[:120], weights[120:140] = 0.25, 0.0
+    plain = observe(depth, CAMERA, CONFIG, device=device)
+    seen = observe(depth, CAMERA, CONFIG, weights=weights, device=device)
+    v = seen.pixels.numpy()[:, 1]
+    np.testing.assert_allclose(seen.noise[v < 120], 2.0 * plain.noise[v < 120], rtol=1e-6)
+    np.testing.assert_array_equal(seen.noise[v >= 140], plain.noise[v >= 140])
+    assert np.isfinite(seen.noise).all() and (seen.spreads.numpy()[:, 2] >= seen.noise * 0.999).all()
