@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ggwarp.evaluation.body import camera_in_body
 from ggwarp.evaluation.trajectory import absolute_error, align
 from ggwarp.geometry import se3
 from ggwarp.types import Float64
@@ -28,6 +29,16 @@ _SCALES = {
     100.0: "centimetres",
     0.3048: "feet",
 }
+_FREE_TURN = math.radians(5.0)
+"""Of a camera in a hand; all true rotations being one is no truth then."""
+_FARTHEST_SHIFT = 30
+"""Frames by which a truth is looked for earlier and later."""
+_SIMPLER = 1.5
+"""How many times better a fitted offset must be than a convention that needs no fit."""
+_LEAST_TURN, _LEAST_ARM = math.radians(5.0), 0.03
+"""Radians and metres: of a body that is another one than the camera; less is how well it was calibrated."""
+_ROS = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""Turns a camera's axes to those of ROS's bodies."""
 _LEAST_SCALE = 1.1
 """Estimates of RGB-D agree in scale to a few per cent."""
 _OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -63,31 +74,64 @@ def doubt_of_truth(estimated: Float64, true: Float64) -> str:
         return ""
     if scale := _scale(estimated, true):
         return scale
-    own = _agreement(estimated, true)
-    best, reason = 1.0, ""
-    for said, change, shift in _hypotheses():
-        kept = slice(max(0, -shift), len(true) - max(0, shift))
-        moved = slice(max(0, shift), len(true) + min(0, shift))
-        if len(true[kept]) < _FEWEST:
-            continue
-        gain = _agreement(estimated[kept], change(true)[moved]).better_than(
-            own if not shift else _agreement(estimated[kept], true[kept])
+    if _turns(true) < _SAME_TURN < _FREE_TURN < _turns(estimated):
+        return (
+            "the true rotations are all the same: are they positions alone? Errors of turns say nothing then"
         )
+    best, reason = 1.0, ""
+    for said, change in _hypotheses():
+        gain = _agreement(estimated, change(true)).better_than(_agreement(estimated, true))
         if gain > best:
             best, reason = gain, said
+    for shift in range(-_FARTHEST_SHIFT, _FARTHEST_SHIFT + 1):
+        kept = slice(max(0, -shift), len(true) - max(0, shift))
+        moved = slice(max(0, shift), len(true) + min(0, shift))
+        if not shift or len(true[kept]) < max(_FEWEST, len(true) // 2):
+            continue
+        own = _agreement(estimated[kept], true[kept])
+        gain = _agreement(estimated[kept], true[moved]).better_than(own)
+        if gain > best:
+            frames = f"{abs(shift)} frame{'s' * (abs(shift) > 1)}"
+            best, reason = gain, f"if they are {frames} {'early' if shift > 0 else 'late'}"
+    offset = camera_in_body(estimated, true)
+    gain = _agreement(estimated, true @ offset).better_than(_agreement(estimated, true))
+    if gain > _SIMPLER * best and (said := _body(offset)):
+        best, reason = gain, said
     return f"the true poses fit the estimated ones {best:.0f} times better {reason}" if best >= _SURE else ""
 
 
-def _hypotheses() -> Iterator[tuple[str, Callable[[Float64], Float64], int]]:
-    """Yield what is said of each, how it changes the true poses, and by how many frames they are late."""
-    yield "if their cameras have OpenGL's axes (y up, z back): turn them by 180 degrees about x", _opengl, 0
-    yield "if they are world-to-camera: invert them", _inverse, 0
-    yield "if they are world-to-camera with OpenGL's axes", lambda true: _inverse(_OPENGL @ true), 0
-    yield "if their quaternions are written w first", _w_first, 0
-    yield "if their rotations are transposed", _transposed, 0
-    for shift in (-3, -2, -1, 1, 2, 3):
-        frames = f"{abs(shift)} frame{'s' * (abs(shift) > 1)}"
-        yield f"if they are {frames} {'early' if shift > 0 else 'late'}", lambda true: true, shift
+def _hypotheses() -> Iterator[tuple[str, Callable[[Float64], Float64]]]:
+    """Yield what is said of each, and how it changes the true poses."""
+    yield "if their cameras have OpenGL's axes (y up, z back): turn them by 180 degrees about x", _opengl
+    yield "if they are world-to-camera: invert them", _inverse
+    yield "if they are world-to-camera with OpenGL's axes", lambda true: _inverse(_OPENGL @ true)
+    yield "if their quaternions are written w first", _w_first
+    yield "if their rotations are transposed", _transposed
+    yield "if they are in reverse order", lambda true: true[::-1]
+    for axis, name in enumerate("xyz"):
+        mirror = np.diag([-1.0 if i == axis else 1.0 for i in range(4)])
+        unity = " (Unity's)" if name == "y" else ""
+        yield f"if they are left-handed{unity}: mirror {name}", lambda true, m=mirror: m @ true @ m
+
+
+def _body(T_body_camera: Float64) -> str:
+    """Say what body the true poses are of, where the camera is fixed to it; empty: to the camera itself."""
+    if math.acos(min(1.0, 0.5 * (float(np.trace(_ROS.T @ T_body_camera[:3, :3])) - 1.0))) < _LEAST_TURN:
+        return "if they are of a body with ROS's axes (x forward, z up)"
+    turn, arm = se3.so3_log(T_body_camera[:3, :3]), float(np.linalg.norm(T_body_camera[:3, 3]))
+    parts = []
+    if (angle := float(np.linalg.norm(turn))) > _LEAST_TURN:
+        axis = " ".join(f"{value:g}" for value in np.round(turn / angle, 2) + 0.0)
+        parts.append(f"turned by {math.degrees(angle):.0f} degrees about ({axis})")
+    if arm > _LEAST_ARM:
+        parts.append(f"{100.0 * arm:.0f} cm away")
+    return f"if they are of a body that is {' and '.join(parts)} from the camera" if parts else ""
+
+
+def _turns(poses: Float64) -> float:
+    """Return the largest angle between the first pose's rotation and another's, radians."""
+    cosine = 0.5 * (np.einsum("ij,nij->n", poses[0, :3, :3], poses[:, :3, :3]) - 1.0)
+    return float(np.arccos(np.clip(cosine, -1.0, 1.0)).max())
 
 
 def _scale(estimated: Float64, true: Float64) -> str:

@@ -13,6 +13,11 @@ from ggwarp.evaluation.conventions import doubt_of_truth
 from ggwarp.geometry import se3
 
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
+ROS = np.array([[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+"""Takes points of a body whose x is forward and z up to the camera that looks along it."""
+
+
+MARKER = se3.se3_exp([0.2, 0, -0.3, 0.7, 0, 0])
 
 
 def walk(frames: int = 30) -> np.ndarray:
@@ -47,6 +52,19 @@ def transposed(poses: np.ndarray) -> np.ndarray:
     return out
 
 
+def mirrored(poses: np.ndarray, axis: int) -> np.ndarray:
+    mirror = np.eye(4)
+    mirror[axis, axis] = -1.0
+    return mirror @ poses @ mirror
+
+
+def alone(poses: np.ndarray) -> np.ndarray:
+    """Positions without rotations."""
+    out = poses.copy()
+    out[:, :3, :3] = np.eye(3)
+    return out
+
+
 def longer(poses: np.ndarray, scale: float) -> np.ndarray:
     out = poses.copy()
     out[:, :3, 3] *= scale
@@ -65,8 +83,16 @@ def longer(poses: np.ndarray, scale: float) -> np.ndarray:
         (lambda T: longer(T, 0.2), r"0\.2.* times as long .* else agrees: is the depth's"),
         (lambda T: np.concatenate([T[1:], T[-1:]]), "if they are 1 frame late"),
         (lambda T: np.concatenate([T[:1], T[:1], T[:-2]]), "if they are 2 frames early"),
+        (lambda T: np.concatenate([T[9:], T[-9:]]), "if they are 9 frames late"),
+        (lambda T: T[::-1], "if they are in reverse order"),
+        (lambda T: mirrored(T, 1), r"if they are left-handed \(Unity's\): mirror y"),
+        (lambda T: mirrored(T, 2), "if they are left-handed: mirror z"),
+        (lambda T: T @ ROS, r"if they are of a body with ROS's axes \(x forward, z up\)"),
+        (lambda T: T @ MARKER, r"turned by 40 degrees about \(-1 0 0\) and 3[56] cm away"),
+        (alone, "the true rotations are all the same: are they positions alone"),
     ],
-    ids=["opengl", "inverse", "inverse opengl", "w first", "transposed", "mm", "scale", "late", "early"],
+    ids=["opengl", "inverse", "inverse opengl", "w first", "transposed", "mm", "scale", "late", "early",
+         "far too late", "reverse", "mirrored y", "mirrored z", "ros", "a marker", "positions"],
 )  # fmt: skip
 def test_another_convention_is_named(change: Callable, says: str) -> None:
     true = walk()
