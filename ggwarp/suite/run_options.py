@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ggwarp.config import ConfigError, RunConfig, check
+from ggwarp.config.checkpoint_interval import checkpoint_interval
 from ggwarp.config.presets import config_of
 from ggwarp.io.toml import TomlError, toml_value
 from ggwarp.pipeline.slam_config import SlamConfig
@@ -24,6 +25,9 @@ _OF_THE_SUITE = {
     "mapper.seed": "list seeds",
     "built-in.seed": "list seeds",
 }
+_CHECKPOINTS = "checkpoint-every"
+"""The one option that decides how a run is kept, not what it is."""
+
 _SLAM = {field.name for field in dataclasses.fields(SlamConfig)}
 
 
@@ -56,7 +60,8 @@ def check_options(options: Options) -> None:
         OptionsError: an option is unknown, or has a value that it does not take.
     """
     values: dict[str, Any] = {"seq": "office"}
-    for name, value in options.items():
+    of_runs = {name: value for name, value in options.items() if name != _CHECKPOINTS}
+    for name, value in of_runs.items():
         parts, place = _path(name), values
         for part in parts[:-1]:
             place = place.setdefault(part, {})
@@ -64,6 +69,7 @@ def check_options(options: Options) -> None:
     try:
         config: RunConfig = config_of(values, "")
         check(config)
+        checkpoint_interval(str(options.get(_CHECKPOINTS, "off")))
     except (TomlError, ConfigError, TrackerError) as error:
         raise OptionsError(str(error).removeprefix(": ").replace("slam.", "")) from None
 
