@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A run's checkpoints: when one is due, what it holds, and how a run goes on from one."""
+"""A run's checkpoints: when one is due, what it holds, and how a run goes on from one.
+
+Frames of a live source cannot be read again, so that such a run cannot go on: it saves its results so far in
+their stead.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +22,7 @@ from ggwarp.pipeline.slam import Slam
 from ggwarp.pipeline.tracked_frame import TrackedFrame
 from ggwarp.results.checkpoints import save_checkpoint
 from ggwarp.results.record import RunRecord
+from ggwarp.results.run_folder import write_system
 from ggwarp.results.staging import StagedFolder
 from ggwarp.runtime.state import State, StateError, pack, restored, unpack
 
@@ -29,7 +34,7 @@ KEPT_OF_THE_RECORD = ("truth", "skipped", "loop_s", "refine_iterations", "refine
 
 
 class Checkpoints:
-    """Writes a run's checkpoints; one that cannot be written is said, and the run goes on."""
+    """Writes a run's checkpoints, or a live one's results; what cannot be written is said, and it goes on."""
 
     def __init__(
         self,
@@ -48,9 +53,12 @@ class Checkpoints:
             config: resolved, of the whole run.
             started: time.perf_counter() at the command's start, less what the run took before.
         """
+        self._is_live = reader.is_live
         if reader.is_live and not interval.is_off:
-            display.note("no checkpoints: frames of a live source cannot be read again")
-            interval = CheckpointInterval()
+            display.note(
+                "frames of a live source cannot be read again: not checkpoints, but the map and the "
+                "trajectory so far are saved on the way"
+            )
         self._interval, self._slam = interval, slam
         self._folder, self._record, self._display = folder, record, display
         self._config = toml_text(dataclasses.replace(config, out=None))
@@ -77,16 +85,20 @@ class Checkpoints:
         return due
 
     def write(self, snapshot: Snapshot) -> None:
-        """Write a checkpoint of ``snapshot`` and of what the record has by now."""
+        """Write a checkpoint of ``snapshot`` and of what the record has by now; or a live run's results."""
         started = time.perf_counter()
         try:
-            save_checkpoint(self._folder.path, self._tree(snapshot))
+            if self._is_live:
+                write_system(self._folder.path, self._slam, self._record.class_names)
+            else:
+                save_checkpoint(self._folder.path, self._tree(snapshot))
         except (OSError, TypeError) as error:  # TypeError: of state that no checkpoint can hold
             self._folder.name_target(error)
             if not self._failing:
                 where = f"{error.filename}: " if isinstance(error, OSError) and error.filename else ""
                 why = getattr(error, "strerror", None) or error
-                self._display.warn(f"no checkpoint: {where}{why}; the run goes on")
+                what = "not saved so far" if self._is_live else "no checkpoint"
+                self._display.warn(f"{what}: {where}{why}; the run goes on")
             self._failing = True
         else:
             self._written, self._failing = self._progress, False

@@ -43,11 +43,11 @@ def introduction(asked: RunConfig, config: RunConfig, dataset: Dataset, frames: 
         yield ("no object masks (--masks DIR gives some): objects are not learnt")
 
 
-def left_by_a_killed_run(left: Path, kept: Path | None) -> str:
-    """Return what became of the folder that a killed run left; ``kept``: where it is now, None: nowhere."""
-    if kept is None:
+def left_by_a_killed_run(left: Path, kept: str) -> str:
+    """Return what became of the folder that a killed run left; ``kept``: where it is now, if anywhere."""
+    if not kept:
         return f"removed {left}, which a run that was killed had left"
-    return f"a run that was killed had left {left}; it is now {kept}: ggwarp run --resume {kept} goes on"
+    return f"a run that was killed had left {left}: {kept}"
 
 
 def status(step: StepReport, fps: float) -> str:

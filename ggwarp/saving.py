@@ -181,7 +181,7 @@ class Saver:
             self._display.warn(f"what {instead_of.target} lacks is in {folder.path}")
             self._missing &= missing
         else:
-            folder.discard()
+            folder.discard(whole=True)
         self._folder = instead_of
         return False
 

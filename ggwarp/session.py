@@ -28,6 +28,7 @@ from ggwarp.io.toml import write_toml
 from ggwarp.pipeline.runner import SideError, Snapshot, run_steps
 from ggwarp.pipeline.tracked_frame import TrackedFrame
 from ggwarp.preparation import build_system, load_kernels, works_concurrently
+from ggwarp.results.checkpoints import kept_in
 from ggwarp.results.metrics import RESULTS
 from ggwarp.results.record import RunRecord
 from ggwarp.results.staging import StagedFolder
@@ -91,7 +92,7 @@ class Session:
             if self.folder is not None:
                 self.folder.name_target(error)
                 if (kept := self.folder.discard()) is not None:
-                    self._display.warn(f"kept in {kept}; ggwarp run --resume {kept} goes on")
+                    self._display.warn(kept_in(kept))
             raise
         self.evaluate()
         return self.show()
@@ -147,7 +148,7 @@ class Session:
             self._pending = go_on(self._resumed, config, self._slam, self.record, self._reader, self._display)
             self._started -= self._resumed.wall_s
         for left, kept in folder.create().items():  # nothing is refused any more
-            self._display.note(messages.left_by_a_killed_run(left, kept))
+            self._display.note(messages.left_by_a_killed_run(left, kept_in(kept) if kept else ""))
         self._begin(folder.path)
         load_kernels(config.device, self._display)
         record, display, started = self.record, self._display, self._started

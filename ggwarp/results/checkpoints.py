@@ -31,6 +31,19 @@ def checkpoint_files(folder: Path) -> list[Path]:
     return []
 
 
+def is_worth_keeping(folder: Path) -> bool:
+    """Return whether a run left something in ``folder``: a checkpoint, or both a trajectory and a map."""
+    results = ("trajectory.txt", "map.ply")
+    return bool(checkpoint_files(folder)) or all((folder / name).is_file() for name in results)
+
+
+def kept_in(folder: Path) -> str:
+    """Return, for the user, where an unfinished run is, and what can be done with it."""
+    if checkpoint_files(folder):
+        return f"kept in {folder}; ggwarp run --resume {folder} goes on"
+    return f"kept in {folder}, as it was saved last"
+
+
 def save_checkpoint(folder: Path, tree: dict[str, Any]) -> None:
     """Write a checkpoint of the run in ``folder``; of older ones, only the last stays.
 

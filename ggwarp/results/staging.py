@@ -22,7 +22,7 @@ from pathlib import Path
 
 from ggwarp.io.lock import in_use, lock_folder
 from ggwarp.io.mounts import is_mount
-from ggwarp.results.checkpoints import FOLDER, checkpoint_files, is_superseded, put_apart, target_of
+from ggwarp.results.checkpoints import FOLDER, is_superseded, is_worth_keeping, put_apart, target_of
 from ggwarp.results.run_folder import OUTPUTS
 
 _FOLDERS = ("renders", FOLDER)
@@ -83,7 +83,7 @@ class StagedFolder:
         """Make the staging folder, or take over the one to go on in.
 
         Returns:
-            What killed runs had left, now removed; or where it is now, if such a run can go on.
+            What killed runs had left, now removed; or where it is now, if it is worth keeping.
 
         Raises:
             OSError: it cannot be made.
@@ -130,14 +130,14 @@ class StagedFolder:
         """Remove the staging folder and what was made for it; the target is as it was.
 
         Args:
-            whole: with its checkpoints; else these stay.
+            whole: also where it is worth keeping.
 
         Returns:
-            Where the folder is now, if its run has a checkpoint to go on from; None: it is gone.
+            Where the folder is now, if it is kept; None: it is gone.
         """
         if self.path == self.target:
             return None
-        if checkpoint_files(self.path) and not whole:
+        if is_worth_keeping(self.path) and not whole:
             with contextlib.suppress(OSError):
                 self.keep_apart()
             return self.path
@@ -202,9 +202,9 @@ class StagedFolder:
                     yield path
 
     def _clear_or_keep(self, left: Path) -> Path | None:
-        """Remove ``left``, or return its new name where its run can go on and no later one took its place."""
+        """Remove ``left``, or return its new name where it is worth keeping and no later run replaced it."""
         target = target_of(left)
-        if target is None or not checkpoint_files(left) or is_superseded(left, target):
+        if target is None or not is_worth_keeping(left) or is_superseded(left, target):
             self._clear(left)
             return None
         return put_apart(left, target, inside=left.parent == target)

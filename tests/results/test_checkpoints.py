@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -118,9 +119,15 @@ def test_a_run_that_is_going_on_is_left_alone(tmp_path: Path) -> None:
     assert value_of(out)[0] == 2
 
 
-def test_a_new_run_keeps_what_can_go_on(tmp_path: Path) -> None:
+def test_a_new_run_keeps_what_can_go_on_or_has_a_map(tmp_path: Path) -> None:
     out = run_in(tmp_path / "o", 5)
     left, bare = run_in(tmp_path / ".o.partial-999999", 7, 2), run_in(tmp_path / ".o.partial-999998", 8)
+    (bare / "map.ply").unlink()
+    live = run_in(tmp_path / "p", 8).rename(tmp_path / ".p.partial-999998")
+    assert StagedFolder(tmp_path / "p", "x").create() == {live: tmp_path / "p-incomplete"}
+    assert names(tmp_path / "p-incomplete") == ["camera.json", "config.toml", "map.ply", "trajectory.txt"]
+    shutil.rmtree(tmp_path / "p-incomplete")
+    shutil.rmtree(next(tmp_path.glob(".p.*")))
     replaced = run_in(tmp_path / ".o.partial-999997", 3, 1)
     folder = StagedFolder(out, "x")
     kept = tmp_path / "o-incomplete"

@@ -72,10 +72,10 @@ def test_the_earlier_run_is_there_until_the_new_one_is(
 
 def test_a_run_that_is_given_up_leaves_no_trace(tmp_path: Path) -> None:
     out = tmp_path / "a/b/o"
-    new_run(out).discard()
+    new_run(out).discard(whole=True)
     assert list(tmp_path.iterdir()) == []
     write_run(out, "old")
-    new_run(out).discard()
+    new_run(out).discard(whole=True)
     assert texts(out) == {"old"} and list(out.parent.iterdir()) == [out]
 
 
