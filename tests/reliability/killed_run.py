@@ -80,11 +80,11 @@ class Watch:
         setattr(owner, name, watched)
 
 
-def main() -> int:
-    place, told, stage, count, delay, *arguments = sys.argv[1:]
-    watch = Watch(Path(told), stage, int(count), float(delay))
-    began = time.monotonic()
-    watch.enter("import")
+def install(watch: Watch, place: str) -> None:
+    """Have ``watch`` see the stages of a run, and its operations on files in ``place``."""
+    from ggwarp import session
+    from ggwarp.checkpointing import Checkpoints
+    from ggwarp.pipeline.slam import Slam
 
     def hook(event: str, values: tuple[Any, ...]) -> None:
         if event in EVENTS and any(isinstance(v, (str, os.PathLike)) and place in str(v) for v in values):
@@ -95,11 +95,6 @@ def main() -> int:
         watch.count("file", 0.0)
         fsync(file)
 
-    from ggwarp import run, session
-    from ggwarp.checkpointing import Checkpoints
-    from ggwarp.pipeline.slam import Slam
-
-    watch.leave(began)
     os.fsync = synchronise
     sys.addaudithook(hook)
     for owner, name, what in (
@@ -115,6 +110,18 @@ def main() -> int:
         (session.Session, "evaluate", "evaluate"),
     ):
         watch.within(owner, name, what)
+
+
+def main() -> int:
+    place, told, stage, count, delay, *arguments = sys.argv[1:]
+    watch = Watch(Path(told), stage, int(count), float(delay))
+    began = time.monotonic()
+    watch.enter("import")
+
+    from ggwarp import run
+
+    install(watch, place)
+    watch.leave(began)
     code = run.main(arguments)
     watch.tell(json.dumps([watch.counts, watch.seconds]))
     return code

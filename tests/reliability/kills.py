@@ -13,6 +13,7 @@ end every file must have the bits of the run that was never stopped. Prints JSON
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import hashlib
 import json
 import math
@@ -24,21 +25,25 @@ import subprocess
 import sys
 import tempfile
 import time
+import traceback
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from killed_run import Watch, install
+
+import ggwarp.session  # noqa: F401 - imported once, for every run that is forked
+from ggwarp import run
 from ggwarp.config.resumed_run import open_resumed
 from ggwarp.config.run_config import ConfigError
 from ggwarp.io.guarded import FileError
 from ggwarp.results.checkpoints import find_run
 from ggwarp.results.run_folder import OUTPUTS
 
-FRAMES = 6
 RUN = [
-    *("--seq", "office", "--device", "cpu", "--scale", "0.08", "--frames", f"0:{3 * FRAMES}:3", "-q"),
+    *("--seq", "office", "--device", "cpu", "--scale", "0.08", "--frames", "0:15:3", "-q"),
     *("--mapper.iterations", "2", "--gicp.points", "1500", "--save-renders", "3", "--refine", "4"),
 ]
 OLDER = [
@@ -53,8 +58,8 @@ NOT_COMPARED = {
 
 STAGES = ("import", "open", "compile", "track", "map", "checkpoint", "refine", "save", "evaluate")
 
-_COMPILING = 12.0
-"""Seconds within which a run that compiles is killed."""
+_UNSEEN = {"import": 1.5, "compile": 12.0}
+"""Seconds within which a run is killed in stages that the run that is never stopped does not have."""
 
 _PROGRAM = Path(__file__).with_name("killed_run.py")
 
@@ -121,8 +126,8 @@ class Campaign:
         self.lost: list[str] = []
         whole = [*RUN, "--out", str(folder / "whole"), "--checkpoint-every", "2"]
         self.typical = self._killed(folder, whole, Moment())
-        self._run(folder, [*OLDER, "--out", str(folder / "older"), "--checkpoint-every", "off"])
-        self._run(folder, [*OLDER, "--out", str(folder / "older-with-checkpoint")])
+        self._forked(folder, [*OLDER, "--out", str(folder / "older"), "--checkpoint-every", "off"])
+        self._forked(folder, [*OLDER, "--out", str(folder / "older-with-checkpoint")])
         self.whole = outcome(folder / "whole")
 
     def trial(self) -> None:
@@ -147,7 +152,10 @@ class Campaign:
             self._check(out, before, max(behind, killed.frames))
             arguments = self._next(out)
         self.ways["went on" if "--resume" in arguments else "started anew"] += 1
-        done = self._run(place, arguments, check=False, environment=cache)
+        if cache:
+            done = self._run(place, ["-m", "ggwarp.run", *arguments], cache)
+        else:
+            done = self._forked(place, arguments)
         if done.returncode:
             self._lose(place, f"{' '.join(arguments[:2])} ended with {done.returncode}: {done.stderr[-300:]}")
             return
@@ -164,7 +172,7 @@ class Campaign:
         if stage != "compile" and self.rng.random() < 1 / 3:
             return Moment("file", self.rng.randint(1, typical.counts["file"]))
         count = self.rng.randint(1, max(1, typical.counts.get(stage, 1)))
-        seconds = _COMPILING if stage == "compile" else typical.seconds.get(stage, 0.0)
+        seconds = _UNSEEN.get(stage) or typical.seconds[stage]
         return Moment(stage, count, self.rng.uniform(0.0, seconds))
 
     def _killed(
@@ -172,22 +180,18 @@ class Campaign:
     ) -> Killed:
         """Run the command and kill it; return what it was doing."""
         told = place.with_name(f"{place.name}.told")
-        when = [moment.stage, str(moment.count), repr(moment.delay)]
-        done = self._run(
-            place,
-            [str(place), str(told), *when, *arguments],
-            program=[str(_PROGRAM)],
-            check=False,
-            environment=environment or {},
-        )
+        if moment.stage in ("import", "compile"):
+            when = [moment.stage, str(moment.count), repr(moment.delay)]
+            command = [str(_PROGRAM), str(place), str(told), *when, *arguments]
+            done = self._run(place, command, environment or {})
+        else:
+            done = self._forked(place, arguments, lambda: Watch(told, **dataclasses.asdict(moment)))
         if done.returncode not in (0, -signal.SIGKILL):
             self._lose(place, f"ended with {done.returncode}: {done.stderr[-300:]}")
-        stage, frames, *figures = (
-            told.read_text().rstrip("\0").split("\n") if told.exists() else ("import", 0)
-        )
-        counts, seconds = json.loads(figures[0]) if figures and figures[0] else ({}, {})
+        lines = told.read_text().split("\n") if told.exists() else ["import", "0", ""]
         told.unlink(missing_ok=True)
-        return Killed(stage.strip(), int(frames), done.returncode, counts, seconds)
+        counts, seconds = json.loads(lines[2] or "[{}, {}]")
+        return Killed(lines[0].strip(), int(lines[1]), done.returncode, counts, seconds)
 
     def _check(self, out: Path, before: dict[str, str], frames: int) -> None:
         """Note whether a kill has done any harm; ``frames``: of the last checkpoint."""
@@ -219,17 +223,43 @@ class Campaign:
         return [*RUN, "--out", str(out)]
 
     def _run(
-        self,
-        place: Path,
-        arguments: Sequence[str],
-        *,
-        program: Sequence[str] = ("-m", "ggwarp.run"),
-        check: bool = True,
-        environment: dict[str, str] | None = None,
+        self, place: Path, command: Sequence[str], environment: dict[str, str]
     ) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, *program, *arguments]
-        variables = {**os.environ, **(environment or {})}
-        return subprocess.run(command, cwd=place, capture_output=True, text=True, check=check, env=variables)
+        """Run a program of Python's in ``place``."""
+        variables = {**os.environ, **environment}
+        return subprocess.run(
+            [sys.executable, *command], cwd=place, capture_output=True, text=True, check=False, env=variables
+        )
+
+    def _forked(
+        self, place: Path, arguments: Sequence[str], watch: Callable[[], Watch] | None = None
+    ) -> subprocess.CompletedProcess[str]:
+        """Run the command in a process like this one, which has imported all: most of a small run's time."""
+        said = place.with_name(f"{place.name}.said")
+        child = os.fork()
+        if not child:
+            code = 70
+            try:
+                os.chdir(place)
+                file = os.open(said, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+                os.dup2(file, 1)
+                os.dup2(file, 2)
+                watching = None if watch is None else watch()
+                if watching is not None:
+                    install(watching, str(place))
+                code = run.main(list(arguments))
+                if watching is not None:
+                    watching.tell(json.dumps([watching.counts, watching.seconds]))
+            except BaseException:
+                traceback.print_exc()
+            finally:
+                sys.stdout.flush()
+                sys.stderr.flush()
+                os._exit(code)
+        _, status = os.waitpid(child, 0)
+        text = said.read_text(errors="replace")
+        said.unlink()
+        return subprocess.CompletedProcess(arguments, os.waitstatus_to_exitcode(status), "", text)
 
     def _lose(self, place: Path, what: str) -> None:
         self.lost.append(f"{place.name}: {what}")
