@@ -199,6 +199,6 @@ def _restore(resumed: ResumedRun, slam: Slam, record: RunRecord, reader: FrameRe
         raise ConfigError(f"{what}: {error}; give the recording that it began with") from None
     except DatasetError:
         raise
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError, RuntimeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError, RuntimeError) as error:
         reason = f"{type(error).__name__}: {error}"
         raise ConfigError(f"{what}: its checkpoint is not as this version writes it ({reason})") from None

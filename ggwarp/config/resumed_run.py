@@ -11,6 +11,7 @@ from typing import Any
 
 from ggwarp.config.presets import config_of
 from ggwarp.config.run_config import ConfigError, RunConfig
+from ggwarp.io.camera import finite_number
 from ggwarp.io.guarded import FileError
 from ggwarp.io.printable import printable, shown
 from ggwarp.io.toml import TomlError, parse_toml
@@ -31,6 +32,9 @@ class ResumedRun:
         linked: whether ``runs/latest`` is to show it.
         config: its configuration; ``refine`` is what is left of it.
         tree: the checkpoint.
+        done: frames behind it.
+        refined: iterations of refinement behind it.
+        wall_s: seconds that the run has taken so far.
         faults: why newer checkpoints cannot be used, if there were any.
     """
 
@@ -40,22 +44,10 @@ class ResumedRun:
     linked: bool
     config: RunConfig
     tree: dict[str, Any]
+    done: int
+    refined: int
+    wall_s: float
     faults: tuple[str, ...]
-
-    @property
-    def done(self) -> int:
-        """Frames behind it."""
-        return int(self.tree["record"]["frames"])
-
-    @property
-    def refined(self) -> int:
-        """Iterations of refinement behind it."""
-        return int(self.tree["record"]["refine_iterations"])
-
-    @property
-    def wall_s(self) -> float:
-        """Seconds that the run has taken so far."""
-        return float(self.tree["record"]["wall_s"])
 
 
 def open_resumed(run: Path) -> ResumedRun:
@@ -68,7 +60,9 @@ def open_resumed(run: Path) -> ResumedRun:
         found = find_run(run)
         tree, faults = found.load()
         config = config_of(parse_toml(tree["config"], "config"), "its configuration")
-        left = max(0, config.refine - int(tree["record"]["refine_iterations"]))
+        record = tree["record"]
+        done, refined = (int(_amount(record[name])) for name in ("frames", "refine_iterations"))
+        wall_s = _amount(record["wall_s"])
         # A run may have been given a name that looks like that of an unfinished one.
         target = found.folder if tree["target"] == found.folder.name else found.target
         linked = bool(tree["linked"])
@@ -80,8 +74,17 @@ def open_resumed(run: Path) -> ResumedRun:
             f"--resume {printable(str(run))}: its checkpoint is not as this version writes it ({reason})"
         ) from None
     adopted = found.folder.resolve() != target.resolve()
-    config = dataclasses.replace(config, refine=left)
-    return ResumedRun(found.folder, target, adopted, linked, config, tree, tuple(faults))
+    config = dataclasses.replace(config, refine=max(0, config.refine - refined))
+    return ResumedRun(
+        found.folder, target, adopted, linked, config, tree, done, refined, wall_s, tuple(faults)
+    )
+
+
+def _amount(value: Any) -> float:
+    amount = finite_number(value)
+    if amount is None or amount < 0.0:
+        raise ValueError(f"{value} is no amount")
+    return amount
 
 
 def check_changes(before: RunConfig, asked: RunConfig) -> None:

@@ -15,7 +15,6 @@ import gzip
 import io
 import json
 import os
-import pickle
 import random
 import sys
 import tarfile
@@ -29,13 +28,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from damages import DAMAGES, Canary
 
 from ggwarp.commands.archives import DownloadError, unpack
 from ggwarp.config import ConfigError
 from ggwarp.config.command_line import parse
+from ggwarp.config.resumed_run import open_resumed
 from ggwarp.editing.__main__ import main as objects
 from ggwarp.geometry.camera import Camera
 from ggwarp.io.camera import write_camera
+from ggwarp.io.checkpoint import write_checkpoint
 from ggwarp.io.guarded import FileError
 from ggwarp.io.json import write_json
 from ggwarp.io.ply import PlyError, read_ply, write_ply
@@ -48,91 +50,7 @@ from ggwarp.objects.linear_classifier import LinearClassifier, write_classifier
 from ggwarp.results.metrics import peak_memory_mb
 
 Files = dict[str, bytes]
-Damage = Callable[[random.Random, bytes], bytes]
-
-NASTY = (
-    *(b"nan", b"-inf", b"1e400", b"9" * 400, b"-1", b"0", b"4294967296", b"1e-320", b"0x10", b"1_0"),
-    *(b"[" * 3000, b"{}" * 9, b'"', b"\0", b"\xff\xfe", b"\x1b[31m", b"[/red]", b"\n" * 50, b"null", b"true"),
-    *(
-        b"../../../etc/passwd",
-        b"/dev/zero",
-        "\u202e\u0665".encode(),
-        b"a." * 500 + b"b = 1\n",
-        b"=",
-        b"\\ud800",
-    ),
-)
-
-
-class Canary:
-    """Leaves a file where it is unpickled."""
-
-    place = ""
-
-    def __reduce__(self) -> tuple[Callable[[str], None], tuple[str]]:
-        return os.mkdir, (Canary.place,)
-
-
-def cut(rng: random.Random, data: bytes) -> bytes:
-    return data[: rng.randrange(len(data) + 1)]
-
-
-def flip(rng: random.Random, data: bytes) -> bytes:
-    out = bytearray(data)
-    for _ in range(rng.choice([1, 1, 3, 30])):
-        out[rng.randrange(len(out))] ^= 1 << rng.randrange(8)
-    return bytes(out)
-
-
-def overwrite(rng: random.Random, data: bytes) -> bytes:
-    at, size = rng.randrange(len(data)), rng.choice([1, 4, 64, 512])
-    filling = rng.choice([bytes(size), b"\xff" * size, rng.randbytes(size)])
-    return data[:at] + filling + data[at + size :]
-
-
-def insert(rng: random.Random, data: bytes) -> bytes:
-    at = rng.randrange(len(data) + 1)
-    return data[:at] + rng.choice(NASTY) + data[at:]
-
-
-def leave_out(rng: random.Random, data: bytes) -> bytes:
-    at = rng.randrange(len(data))
-    return data[:at] + data[at + rng.choice([1, 2, 16, 256]) :]
-
-
-def repeat(rng: random.Random, data: bytes) -> bytes:
-    at = rng.randrange(len(data))
-    return data[:at] + data[at : at + 200] * rng.choice([2, 50]) + data[at:]
-
-
-def replace_word(rng: random.Random, data: bytes) -> bytes:
-    """Put something nasty in the place of a number or a word: what survives a parser's first look."""
-    starts = [i for i in range(1, len(data)) if data[i : i + 1].isalnum() and not data[i - 1 : i].isalnum()]
-    if not starts:
-        return insert(rng, data)
-    at = end = rng.choice(starts)
-    while data[end : end + 1].isalnum() or data[end : end + 1] in (b".", b"-", b"_"):
-        end += 1
-    return data[:at] + rng.choice(NASTY) + data[end:]
-
-
-def other(rng: random.Random, data: bytes) -> bytes:
-    return rng.choice(
-        [b"", rng.randbytes(300), pickle.dumps(Canary()), b"PK\x03\x04", b"ply\n", b"{}", b"[]"]
-    )
-
-
-DAMAGES: tuple[Damage, ...] = (
-    cut,
-    flip,
-    overwrite,
-    insert,
-    leave_out,
-    repeat,
-    replace_word,
-    replace_word,
-    other,
-)
+KINDS = ("run", "config", "ply", "archive", "checkpoint")
 
 
 def small_run(folder: Path) -> Files:
@@ -208,7 +126,7 @@ class Campaign:
         Canary.place = str(folder / "code was run")
 
     def case(self, number: int) -> None:
-        kind = ("run", "config", "ply", "archive")[number % 4]
+        kind = KINDS[number % len(KINDS)]
         folder = self.folder / f"{number}"
         folder.mkdir()
         began = time.process_time()
@@ -280,6 +198,26 @@ class Campaign:
         if left or (not result[0] and (folder / "seq").exists()):
             raise AssertionError(f"left behind: {left or 'half of it'}")
         return result
+
+    def checkpoint_case(self, folder: Path) -> tuple[bool, str]:
+        """Damage the file, or what it says: then its checksum is right."""
+        record: dict[str, object] = {"frames": 2, "wall_s": 1.5, "refine_iterations": 0}
+        tree = {"target": "o", "linked": False, "config": self.run["config.toml"].decode(), "record": record}
+        path = folder / "checkpoints/000001.safetensors"
+        path.parent.mkdir()
+        if self.rng.random() < 0.5:
+            with contextlib.suppress(ValueError, RecursionError):
+                tree["record"] = json.loads(self.damaged(json.dumps(record).encode()))
+            write_checkpoint(path, tree)
+        else:
+            write_checkpoint(path, tree | {"poses": np.zeros((2, 4, 4))})
+            path.write_bytes(self.damaged(path.read_bytes()))
+
+        def read() -> None:
+            run = open_resumed(folder)
+            assert run.done >= 0 and run.refined >= 0 and run.wall_s >= 0.0
+
+        return self._tried(read, ConfigError)
 
     def _tried(self, read: Callable[[], object], *refusals: type[Exception]) -> tuple[bool, str]:
         try:

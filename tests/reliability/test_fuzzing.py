@@ -17,7 +17,7 @@ SCRIPT = Path(__file__).with_name("fuzzing.py")
 def test_nothing_escapes(campaign: bool, seed: int) -> None:
     if seed > 1 and not campaign:
         pytest.skip("with --reliability")
-    count = 1000 if campaign else 160
+    count = 1000 if campaign else 200
     done = subprocess.run(
         [sys.executable, str(SCRIPT), "--count", str(count), "--seed", str(seed)],
         capture_output=True,
@@ -30,7 +30,7 @@ def test_nothing_escapes(campaign: bool, seed: int) -> None:
     assert sum(report["outcomes"].values()) == count and report["peak_mb"] < 1000
     kinds = [
         f"{kind} {outcome}"
-        for kind in ("run", "config", "ply", "archive")
+        for kind in ("run", "config", "ply", "archive", "checkpoint")
         for outcome in ("taken", "refused")
     ]
     assert set(report["outcomes"]) == set(kinds), "each reader takes some and refuses some"
