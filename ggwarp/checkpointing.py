@@ -29,6 +29,9 @@ from ggwarp.runtime.state import State, StateError, pack, restored, unpack
 _MOST_TIME = 0.02
 """Share of a run's time that checkpoints by the clock may take: after a slow one, the next comes later."""
 
+_NOT_OURS = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RuntimeError)
+"""What is raised by state that another version has written."""
+
 KEPT_OF_THE_RECORD = ("truth", "skipped", "loop_s", "refine_iterations", "refine_s")
 """Fields of a run's record; the reports are the system's, all else is of the start or the end of a run."""
 
@@ -199,6 +202,6 @@ def _restore(resumed: ResumedRun, slam: Slam, record: RunRecord, reader: FrameRe
         raise ConfigError(f"{what}: {error}; give the recording that it began with") from None
     except DatasetError:
         raise
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError, RuntimeError) as error:
+    except _NOT_OURS as error:
         reason = f"{type(error).__name__}: {error}"
         raise ConfigError(f"{what}: its checkpoint is not as this version writes it ({reason})") from None
