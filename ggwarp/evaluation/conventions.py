@@ -84,10 +84,10 @@ def doubt_of_truth(estimated: Float64, true: Float64) -> str:
         if gain > best:
             best, reason = gain, said
     for shift in range(-_FARTHEST_SHIFT, _FARTHEST_SHIFT + 1):
+        if not shift or len(true) - abs(shift) < max(_FEWEST, len(true) // 2):
+            continue
         kept = slice(max(0, -shift), len(true) - max(0, shift))
         moved = slice(max(0, shift), len(true) + min(0, shift))
-        if not shift or len(true[kept]) < max(_FEWEST, len(true) // 2):
-            continue
         own = _agreement(estimated[kept], true[kept])
         gain = _agreement(estimated[kept], true[moved]).better_than(own)
         if gain > best:

@@ -115,6 +115,13 @@ def test_an_estimate_that_is_only_poor_blames_nothing(estimate: Callable) -> Non
     assert doubt_of_truth(estimate(walk()), walk()) == ""
 
 
+@pytest.mark.parametrize("frames", [5, 6, 20, 29])
+def test_short_walks_are_judged_too(frames: int) -> None:
+    """Of no more frames than the truth may be early or late by."""
+    true = walk(frames)
+    assert doubt_of_truth(noisy(true, 0.05, 0.05), true) == ""
+
+
 def test_what_says_nothing() -> None:
     still = np.stack([np.eye(4)] * 9)
     assert doubt_of_truth(still, still) == "" == doubt_of_truth(walk()[:4], np.linalg.inv(walk()[:4]))
