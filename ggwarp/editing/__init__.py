@@ -21,7 +21,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ggwarp.editing.edits import extract, motion_about, move, recolour, relabel, remove
+    from ggwarp.editing.edits import extract, merge, motion_about, move, recolour, relabel, remove, split
     from ggwarp.editing.inpaint.filling import FillConfig, fill_removed
     from ggwarp.editing.inpaint.image_inpainting import inpaint_opencv, inpaint_shade
     from ggwarp.editing.map_view import MapView, best_views
@@ -44,6 +44,7 @@ __all__ = [
     "inpaint_shade",
     "join",
     "load_run",
+    "merge",
     "motion_about",
     "move",
     "recolour",
@@ -51,10 +52,11 @@ __all__ = [
     "remove",
     "save_run",
     "select",
+    "split",
 ]
 
 _HOMES = {
-    "edits": ["extract", "motion_about", "move", "recolour", "relabel", "remove"],
+    "edits": ["extract", "merge", "motion_about", "move", "recolour", "relabel", "remove", "split"],
     "inpaint.filling": ["FillConfig", "fill_removed"],
     "inpaint.image_inpainting": ["inpaint_opencv", "inpaint_shade"],
     "selection": ["SelectionConfig", "select"],

@@ -7,11 +7,11 @@ import argparse
 import re
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 from ggwarp.editing.command_line import EDITS, parse
+from ggwarp.editing.progress import open_progress, part_of
 from ggwarp.io.printable import printable
-from ggwarp.results.saved_run import RunError, load_run, save_run
+from ggwarp.results.saved_run import RunError, load_run, next_edit_folder, save_run
 
 USER_ERROR = 2
 INTERRUPTED = 130
@@ -49,13 +49,20 @@ def execute(steps: list[argparse.Namespace]) -> int:
         from ggwarp.editing import actions as apply
 
         # Refused before any work is done.
-        out = first.out or next_folder(run.folder)
+        out = first.out or next_edit_folder(run.folder)
         if out.exists():
             raise RunError(f"{out}: exists already, and nothing is overwritten; choose another --out")
-        for step in steps:
-            run = apply.apply(run, step)
+        before = run
+        with open_progress() as progress:
+            for k, step in enumerate(steps):
+                share = part_of(progress, k / len(steps), (k + 1) / len(steps))
+                run = apply.apply(run, step, share)
         save_run(run, out)
         print(f"the edited map is in {printable(str(out))}")
+        if first.picture and run.gaussians is not before.gaussians:
+            from ggwarp.editing.pictures import write_before_and_after
+
+            write_before_and_after(before, run, out, device=first.device)
         return 0
     from ggwarp.editing.pictures import write_extract, write_show
 
@@ -63,15 +70,6 @@ def execute(steps: list[argparse.Namespace]) -> int:
     folder = first.out or run.folder / "objects" / f"{record.id}-{_file_name(record.name)}"
     (write_show if first.verb == "show" else write_extract)(run, record, first, folder)
     return 0
-
-
-def next_folder(folder: Path) -> Path:
-    """Return the first of FOLDER-edit1, FOLDER-edit2, ... that is not there; of an edit, the next."""
-    folder = folder.resolve()
-    stem, number = re.sub(r"-edit\d+$", "", folder.name), 1
-    while (found := folder.with_name(f"{stem}-edit{number}")).exists():
-        number += 1
-    return found
 
 
 def _file_name(text: str) -> str:

@@ -12,24 +12,30 @@ from numpy.typing import NDArray
 
 from ggwarp.editing import edits
 from ggwarp.editing.device import ready_device
+from ggwarp.editing.progress import Progress, silent
 from ggwarp.editing.selection import SelectionConfig, select
 from ggwarp.geometry import se3
 from ggwarp.io.printable import shown
 from ggwarp.map.gaussians import Gaussians, join
-from ggwarp.objects.inventory import ObjectRecord, centre_of, is_name
+from ggwarp.objects.inventory import FROM_KEYFRAMES, ObjectRecord, centre_of, is_name, merged_record
 from ggwarp.results.saved_run import RunError, SavedRun
 from ggwarp.types import Float64
 
 Bools = NDArray[np.bool_]
 
 
-def apply(run: SavedRun, step: argparse.Namespace) -> SavedRun:
+def apply(run: SavedRun, step: argparse.Namespace, progress: Progress = silent) -> SavedRun:
     """Return ``run`` after ``step``; see :mod:`ggwarp.editing.command_line` for its fields.
+
+    Args:
+        progress: told how far the work is; what it raises ends the work.
 
     Raises:
         RunError: an object is not there, its selection is empty, or a value is out of range.
     """
-    return {"remove": _remove, "move": _move, "recolor": _recolour, "label": _label}[step.verb](run, step)
+    if step.verb in ("remove", "move"):
+        return (_remove if step.verb == "remove" else _move)(run, step, progress)
+    return {"recolor": _recolour, "label": _label, "merge": _merge, "split": _split}[step.verb](run, step)
 
 
 def chosen_gaussians(run: SavedRun, record: ObjectRecord, step: argparse.Namespace) -> Bools:
@@ -54,16 +60,18 @@ def chosen_gaussians(run: SavedRun, record: ObjectRecord, step: argparse.Namespa
     return chosen
 
 
-def _remove(run: SavedRun, step: argparse.Namespace) -> SavedRun:
+def _remove(run: SavedRun, step: argparse.Namespace, progress: Progress) -> SavedRun:
     records = [run.find(name) for name in step.ids]
     chosen = np.any([chosen_gaussians(run, record, step) for record in records], axis=0)
     if chosen.all():
         raise RunError("remove: nothing would be left of the map")
-    left, added = _without(run, chosen, step)
+    left, added = _without(run, chosen, step, progress)
     return run.edited(left, {"edit": "remove", "ids": [r.id for r in records], "filled": added})
 
 
-def _without(run: SavedRun, chosen: Bools, step: argparse.Namespace) -> tuple[Gaussians, int]:
+def _without(
+    run: SavedRun, chosen: Bools, step: argparse.Namespace, progress: Progress
+) -> tuple[Gaussians, int]:
     """Return the map without ``chosen`` and, where holes are filled, how many Gaussians fill them."""
     left = edits.remove(run.gaussians, chosen)
     if not step.fill:
@@ -71,11 +79,12 @@ def _without(run: SavedRun, chosen: Bools, step: argparse.Namespace) -> tuple[Ga
     from ggwarp.editing.inpaint import filling  # kernels, only needed here
 
     device = ready_device(step.device)
-    filled, added = filling.fill_removed(run.gaussians, chosen, run.camera, run.poses, device=device)
-    return filled, added
+    return filling.fill_removed(
+        run.gaussians, chosen, run.camera, run.poses, device=device, progress=progress
+    )
 
 
-def _move(run: SavedRun, step: argparse.Namespace) -> SavedRun:
+def _move(run: SavedRun, step: argparse.Namespace, progress: Progress) -> SavedRun:
     record = run.find(step.id)
     rotation = _rotation(step)
     chosen = chosen_gaussians(run, record, step)
@@ -86,7 +95,7 @@ def _move(run: SavedRun, step: argparse.Namespace) -> SavedRun:
     if step.fill:
         # Its strays, which do not move along, would stay behind as crumbs.
         strays = argparse.Namespace(**{**vars(step), "cut_outliers": False})
-        left, added = _without(run, chosen | chosen_gaussians(run, record, strays), step)
+        left, added = _without(run, chosen | chosen_gaussians(run, record, strays), step, progress)
         moved = join(left, edits.extract(moved, chosen))
         entry["filled"] = added
     return run.edited(moved, entry)
@@ -126,3 +135,44 @@ def _label(run: SavedRun, step: argparse.Namespace) -> SavedRun:
     objects = edits.relabel(run.objects, record.id, step.name)
     entry: dict[str, Any] = {"edit": "label", "id": record.id, "label": step.name}
     return dataclasses.replace(run, objects=objects, edits=(*run.edits, entry))
+
+
+def _merge(run: SavedRun, step: argparse.Namespace) -> SavedRun:
+    records = [run.find(name) for name in step.ids]
+    ids = list(dict.fromkeys(record.id for record in records))
+    if len(ids) < 2:
+        raise RunError(f"merge {' '.join(step.ids)}: give two objects or more")
+    merged = run.edited(edits.merge(run.gaussians, ids), {"edit": "merge", "ids": ids})
+    whole = merged_record(records)
+    objects = tuple(
+        dataclasses.replace(o, **{name: getattr(whole, name) for name in FROM_KEYFRAMES})
+        if o.id == whole.id
+        else o
+        for o in merged.objects
+    )
+    classifier = run.classifier
+    if classifier is not None:
+        own = np.isin(classifier.ids, ids)
+        classifier = dataclasses.replace(classifier, ids=np.where(own, ids[0], classifier.ids))
+    return dataclasses.replace(merged, objects=objects, classifier=classifier)
+
+
+def _split(run: SavedRun, step: argparse.Namespace) -> SavedRun:
+    record = run.find(step.id)
+    try:
+        gaussians, new = edits.split(run.gaussians, record.id, step.parts, first_new=_unused_id(run))
+    except ValueError as error:
+        raise RunError(f"--parts {step.parts}: {error}; give 2 or more, up to its Gaussians") from None
+    if not new:
+        raise RunError(f"{record.name}: is in one piece; --parts N cuts it into N")
+    done = run.edited(gaussians, {"edit": "split", "id": record.id, "new": new})
+    objects = done.objects
+    for number, identifier in enumerate(new, start=2):
+        objects = edits.relabel(objects, identifier, f"{record.name} {number}")
+    return dataclasses.replace(done, objects=objects)
+
+
+def _unused_id(run: SavedRun) -> int:
+    """Return an id beyond all that the masks, the classifier or an edit ever had."""
+    known = [i for record in run.objects for i in (record.id, *record.source_ids)]
+    return 1 + max([*known, *([] if run.classifier is None else run.classifier.ids.tolist())])

@@ -13,14 +13,14 @@ from ggwarp.results.saved_run import RunError
 THEN = "then"
 """Joins several edits in one call."""
 
-EDITS = ("remove", "move", "recolor", "label")
+EDITS = ("remove", "move", "recolor", "label", "merge", "split")
 """Verbs that make a new map."""
 
 _DESCRIPTION = """\
-List, show, take out, move, paint and name the objects of a run.
+List, show, take out, move, paint, name, merge and split the objects of a run.
 
-An ID is an object's number, or its label or class where only one object has it. Edits write a new run
-folder and never change the old one; several are joined by `then`:
+An ID is an object's number, or its label or class, or a word of it, where only one object has it. Edits
+write a new run folder and never change the old one; several are joined by `then`:
 
   ggwarp objects runs/latest remove mug then move stool --translate 0.5 0 0
 """
@@ -109,11 +109,22 @@ def _make_parser() -> argparse.ArgumentParser:
         )
     recolor = verb("recolor", "paint an object, keeping light and shade", folder)
     label = verb("label", "name an object", folder)
-    for one in (move, recolor, label):
+    merge = verb("merge", "make several objects one, with the first one's id and name", folder)
+    merge.add_argument("ids", metavar="ID", nargs="+")
+    split = verb("split", "make the parts of an object that are apart objects of their own", folder)
+    split.add_argument("--parts", type=int, metavar="N", help="cut it into N compact parts instead")
+    for one in (move, recolor, label, split):
         one.add_argument("id", metavar="ID")
     for colour in ("red", "green", "blue"):
         recolor.add_argument(colour, type=int, metavar=colour[0].upper(), help="0 to 255")
     label.add_argument("name", metavar="NAME", help="empty: take the label away")
+    for one in (remove, move, recolor, label, merge, split):
+        one.add_argument(
+            "--picture",
+            action=argparse.BooleanOptionalAction,
+            default=True,
+            help="write a picture of before and after (default: yes)",
+        )
     for one in (show, extract, remove, move, recolor):
         _add_selection(one, cut_outliers=one in (extract, move))
     return parser

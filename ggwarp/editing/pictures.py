@@ -27,6 +27,9 @@ from ggwarp.types import Float32
 
 _WIDE = 130  # columns where there is no terminal to ask
 _DIMMED = 0.35  # brightness of what is not meant
+_COMPARED = 24  # poses looked from for a difference
+_NO_CHANGE = 1e-4  # of brightness, mean over a picture
+_SHOWN_WIDTH, _GAP = 640, 8  # pixels
 _MARGIN = 16  # pixels round a crop
 _ZOOM = 4.0  # of crops, as an object fills a small part of the run's images
 
@@ -111,6 +114,50 @@ def lit(rgb: Float32, coverage: Float32) -> Float32:
     return np.asarray(share * rgb + (1.0 - share) * _DIMMED * grey[..., None], np.float32)
 
 
+def before_and_after(before: SavedRun, after: SavedRun, *, device: Any = "cpu") -> NDArray[np.uint8] | None:
+    """Return two pictures [h, 2 w + gap, 3] from the pose of the run whose view an edit changed most.
+
+    None: no view shows a difference.
+    """
+    views = [MapView(run.gaussians, run.camera, device=device) for run in (before, after)]
+    rows = np.unique(np.linspace(0, len(before.poses) - 1, _COMPARED).astype(int)).tolist()
+    changes = []
+    for row in rows:
+        one, other = (view.render(before.poses[row]).rgb for view in views)
+        changes.append(float(np.abs(one - other).mean()))
+    best = int(np.argmax(changes))
+    if changes[best] < _NO_CHANGE:
+        return None
+    camera = before.camera.scaled(max(1.0, _SHOWN_WIDTH / before.camera.width))
+    sides = [
+        MapView(run.gaussians, camera, device=device).render(before.poses[rows[best]]).rgb
+        for run in (before, after)
+    ]
+    gap = np.ones((camera.height, _GAP, 3), np.float32)
+    return as_bytes(np.concatenate([sides[0], gap, sides[1]], axis=1))
+
+
+def write_before_and_after(before: SavedRun, after: SavedRun, folder: Path, *, device: str | None) -> None:
+    """Write ``before_after.png`` to ``folder``, and say so; nothing where no view shows a difference.
+
+    Args:
+        device: as the command names it; None: auto.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    picture = before_and_after(before, after, device=ready_device(device))
+    if picture is not None:
+        path = folder / "before_after.png"
+        _save(path, picture / np.float32(255.0))
+        _report([path])
+
+
+def as_bytes(picture: Float32) -> NDArray[np.uint8]:
+    """Return a picture in 0..1 as bytes."""
+    return np.rint(255.0 * np.clip(picture, 0.0, 1.0)).astype(np.uint8)
+
+
 def _views(
     view: MapView, run: SavedRun, chosen: NDArray[np.bool_], record: ObjectRecord, count: int
 ) -> list[int]:
@@ -132,7 +179,7 @@ def _free(files: list[Path]) -> list[Path]:
 def _save(path: Path, picture: NDArray[Any]) -> None:
     """Write ``picture`` [h, w, 3 or 4] in 0..1 as PNG."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    pixels = np.rint(255.0 * np.clip(picture, 0.0, 1.0)).astype(np.uint8)
+    pixels = as_bytes(picture)
     order = [2, 1, 0, 3][: pixels.shape[2]]
     with atomic_write(path) as file:
         file.write(cv2.imencode(".png", pixels[..., order])[1].tobytes())

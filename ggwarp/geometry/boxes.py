@@ -59,15 +59,26 @@ def main_parts(points: NDArray[np.floating]) -> NDArray[np.bool_]:
     Points closer than three median neighbour distances are one part; a part counts with at least a
     fiftieth of the points and three of them, and the largest always does.
     """
+    return separate_parts(points) >= 0
+
+
+def separate_parts(points: NDArray[np.floating]) -> NDArray[np.int32]:
+    """Return [n] which large enough part of their cloud ``points`` [n, 3] lie in, the largest 0; -1: in none.
+
+    See :func:`main_parts`.
+    """
     if len(points) < 4:
-        return np.ones(len(points), bool)
+        return np.zeros(len(points), np.int32)
     from scipy.spatial import KDTree  # heavy, and only needed once a map is described
 
     tree: Any = KDTree(points)
     nearest = tree.query(points, k=2)[0][:, 1]
     parts = linked_parts(tree, max(_LINK * float(np.median(nearest)), 1e-6))
     sizes = np.bincount(parts)
-    return (sizes >= min(max(_LEAST_PART * len(points), 3), sizes.max()))[parts]
+    number = np.empty(len(sizes), np.int32)
+    number[np.argsort(-sizes, kind="stable")] = np.arange(len(sizes))
+    number[sizes < min(max(_LEAST_PART * len(points), 3), sizes.max())] = -1
+    return number[parts]
 
 
 def linked_parts(tree: Any, link: float) -> NDArray[np.int32]:

@@ -19,6 +19,8 @@ from ggwarp.types import Float32
 
 _FARTHEST = 1e9
 """Of any number of a record."""
+FROM_KEYFRAMES = ("source_ids", "class_name", "label", "first_frame", "last_frame", "views", "confidence")
+"""What of a record the map cannot tell."""
 _LONGEST_NAME = 1000
 """Characters of a class or label."""
 
@@ -173,13 +175,35 @@ def refreshed(
     Objects without Gaussians are left out; what the map cannot tell (names, frames, confidence) stays.
     """
     old = {record.id: record for record in records}
-    kept = ("source_ids", "class_name", "label", "first_frame", "last_frame", "views", "confidence")
     return [
-        dataclasses.replace(new, **{name: getattr(old[new.id], name) for name in kept})
+        dataclasses.replace(new, **{name: getattr(old[new.id], name) for name in FROM_KEYFRAMES})
         if new.id in old
         else new
         for new in inventory(means, colours, object_ids)
     ]
+
+
+def merged_record(records: list[ObjectRecord]) -> ObjectRecord:
+    """Return the first of ``records`` with what the keyframes tell of all of them as one.
+
+    Counts, boxes, centre and colour are the map's to tell (:func:`refreshed`). ``views`` is the largest: how
+    many keyframes show any of them is not known.
+    """
+    frames = [r.first_frame for r in records if r.first_frame is not None]
+    last = [r.last_frame for r in records if r.last_frame is not None]
+    views = [r.views for r in records if r.views is not None]
+    known = [(r.confidence, r.count) for r in records if r.confidence is not None]
+    weight = sum(count for _, count in known)
+    return dataclasses.replace(
+        records[0],
+        source_ids=tuple(dict.fromkeys(i for r in records for i in r.source_ids)),
+        class_name=next((r.class_name for r in records if r.class_name), None),
+        label=next((r.label for r in records if r.label), None),
+        first_frame=min(frames, default=None),
+        last_frame=max(last, default=None),
+        views=max(views, default=None),
+        confidence=sum(c * n for c, n in known) / weight if weight else None,
+    )
 
 
 def centre_of(means: Float32) -> Vector:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ from ggwarp.io.guarded import OBJECTS, FileError, read_json
 from ggwarp.io.json import write_json
 from ggwarp.io.ply import read_ply, write_ply
 from ggwarp.io.printable import printable, shown
+from ggwarp.io.suggestion import did_you_mean
 from ggwarp.io.trajectory import read_tum
 from ggwarp.map.gaussians import Gaussians
 from ggwarp.objects.inventory import ObjectRecord, inventory, refreshed
@@ -54,23 +56,25 @@ class SavedRun:
     edits: tuple[dict[str, Any], ...] = ()
 
     def find(self, name: str) -> ObjectRecord:
-        """Return the object that ``name`` means: an id, or else a label, or else a class.
+        """Return the object that ``name`` means: an id, else a label, else a class, else words of its name.
 
         Raises:
             RunError: no object, or more than one.
         """
-        fold = name.casefold()
+        fold, words = name.casefold(), _words(name)
         for matches in (
             [o for o in self.objects if str(o.id) == name],
             [o for o in self.objects if o.label is not None and o.label.casefold() == fold],
             [o for o in self.objects if o.class_name is not None and o.class_name.casefold() == fold],
+            [o for o in self.objects if words and words <= _words(o.name)],
         ):
             if len(matches) == 1:
                 return matches[0]
             if matches:
-                ids = ", ".join(str(o.id) for o in matches)
+                ids = ", ".join(f"{o.id} ({printable(o.name)})" for o in matches)
                 raise RunError(f"{name}: {len(matches)} objects have this name; give one of the ids {ids}")
-        raise RunError(f"{name}: {self.folder} has no such object; `list` shows those there are")
+        near = did_you_mean(name, [o.name for o in self.objects])
+        raise RunError(f"{name}: {self.folder} has no such object{near}; `list` shows those there are")
 
     def scene_view(self, up: Up | None = None) -> SceneView:
         """Return how the map is shown: as ``view.json`` says, or estimated where there is none.
@@ -149,6 +153,15 @@ def save_run(run: SavedRun, folder: str | Path) -> None:
     write_json(folder / "objects.json", {"objects": entries, "edited_from": source, "edits": run.edits})
 
 
+def next_edit_folder(folder: Path) -> Path:
+    """Return the first of FOLDER-edit1, FOLDER-edit2, ... that is not there; of an edit, the next."""
+    folder = folder.resolve()
+    stem, number = re.sub(r"-edit\d+$", "", folder.name), 1
+    while (found := folder.with_name(f"{stem}-edit{number}")).exists():
+        number += 1
+    return found
+
+
 def _read_objects(path: Path) -> tuple[tuple[ObjectRecord, ...], tuple[dict[str, Any], ...]]:
     try:
         values = read_json(path, OBJECTS)
@@ -167,6 +180,10 @@ def _read_objects(path: Path) -> tuple[tuple[ObjectRecord, ...], tuple[dict[str,
         raise RunError(
             f"{printable(str(path))}: is not as this version writes it ({reason}); run the sequence again"
         ) from None
+
+
+def _words(name: str) -> set[str]:
+    return set(re.findall(r"[^\W_]+", name.casefold()))
 
 
 def _shallow(value: Any, most: int = 8) -> bool:

@@ -15,7 +15,7 @@ import pytest
 
 from ggwarp.editing.__main__ import main
 from ggwarp.io.ply import read_ply, write_ply
-from ggwarp.results.saved_run import load_run
+from ggwarp.results.saved_run import RunError, load_run
 
 
 def _bytes(folder: Path) -> dict[str, bytes]:
@@ -102,6 +102,39 @@ def test_a_link_to_the_latest_run_is_followed(run_folder, tmp_path):
     assert (tmp_path / "run-edit1").is_dir()
 
 
+def test_a_word_of_its_name_means_an_object(run_folder):
+    assert main([str(run_folder), "label", "5", "office chair"]) == 0
+    run = load_run(run_folder.with_name("run-edit1"))
+    assert run.find("chair").id == run.find("Office CHAIR").id == 5
+    with pytest.raises(RunError, match=r"air: .* no such object"):
+        run.find("air")
+
+
+def test_merge_and_split(run_folder, capsys):
+    assert main([str(run_folder), "merge", "5", "8"]) == 0
+    merged = load_run(run_folder.with_name("run-edit1"))
+    assert [(o.id, o.source_ids, o.count) for o in merged.objects][1:] == [(5, (5, 8), 2 * 6 * 81)]
+    assert main([str(merged.folder), "split", "cube"]) == 0
+    again = load_run(run_folder.with_name("run-edit2"))
+    assert [(o.id, o.name, o.count) for o in again.objects][1:] == [(5, "cube", 486), (9, "cube 2", 486)]
+    assert again.edits == ({"edit": "merge", "ids": [5, 8]}, {"edit": "split", "id": 5, "new": [9]})
+    assert "before_after" not in capsys.readouterr().out  # nothing looks different
+
+
+def test_a_picture_of_before_and_after(run_folder, capsys):
+    assert main([str(run_folder), "recolor", "5", "9", "9", "200", "--device", "cpu"]) == 0
+    path = Path(capsys.readouterr().out.split()[-1])
+    picture = cv2.imread(str(path))
+    assert path.name == "before_after.png" and picture is not None
+    before, after = picture[:, : picture.shape[1] // 2 - 4], picture[:, picture.shape[1] // 2 + 4 :]
+    red, blue = (
+        (p.argmax(axis=2) == k) & (np.ptp(p.astype(int), axis=2) > 100) for p, k in ((before, 2), (after, 0))
+    )
+    assert red.sum() > 1000 and 0.8 < blue.sum() / red.sum() < 1.2
+    assert main([str(run_folder), "recolor", "5", "9", "9", "200", "--no-picture"]) == 0
+    assert not (run_folder.with_name("run-edit2") / "before_after.png").exists()
+
+
 MISTAKES = [
     ("", "required: RUN, VERB"),
     ("absent list", "absent: no such folder"),
@@ -109,7 +142,7 @@ MISTAKES = [
     ("run", "VERB"),
     ("run dance", "invalid choice: 'dance'"),
     ("run show 99", "99: run has no such object"),
-    ("run show cube", "cube: 2 objects have this name; give one of the ids 5, 8"),
+    ("run show cube", "cube: 2 objects have this name; give one of the ids 5 (cube), 8 (cube)"),
     ("run show 5 --views 0", "--views 0"),
     ("run show 5 --device cuda:77", "--device cuda:77: no such device"),
     ("run remove 5 --probability 0.3", "classifier"),
@@ -124,6 +157,10 @@ MISTAKES = [
     ("run list then remove 5", "only edits are joined"),
     ("run remove 5 then remove 5", "5: run has no such object"),
     ("run remove 5 --out run", "run: exists already"),
+    ("run remove wal", "wal: run has no such object (did you mean wall?)"),
+    ("run merge 5 5", "merge 5 5: give two objects or more"),
+    ("run split 5", "cube: is in one piece; --parts N cuts it into N"),
+    ("run split 5 --parts 1", "--parts 1: 486 Gaussians make no 1 parts"),
 ]
 
 

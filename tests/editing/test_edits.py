@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -100,3 +102,40 @@ def test_labels():
     named = edits.relabel(records, 4, "Anna's mug")
     assert [r.name for r in named] == ["Anna's mug", "object 9"]
     assert [r.name for r in edits.relabel(named, 4, "")] == ["mug", "object 9"]
+
+
+def test_merged_objects_are_the_first_one(gaussians):
+    merged = edits.merge(gaussians, [3, 1])
+    assert set(np.unique(merged.object_ids)) == {0, 2, 3}
+    was = np.isin(gaussians.object_ids, [1, 3])
+    np.testing.assert_array_equal(merged.object_ids == 3, was)
+    np.testing.assert_array_equal(merged.object_ids[~was], gaussians.object_ids[~was])
+
+
+def _two_heaps(gaussians: Gaussians, rng, apart: float) -> Gaussians:
+    """Object 2 alone: 250 Gaussians round 0 and 150 at ``apart`` along x, of which one strays far beyond."""
+    means = rng.uniform(-0.5, 0.5, (400, 3)).astype(np.float32)
+    means[250:, 0] += apart
+    means[399] = [apart + 9.0, 0.0, 0.0]
+    return dataclasses.replace(gaussians, means=means, object_ids=np.full(400, 2, np.int32))
+
+
+def test_an_object_is_split_where_its_parts_are_apart(gaussians, rng):
+    heaps = _two_heaps(gaussians, rng, apart=4.0)
+    done, new = edits.split(heaps, 2)
+    assert new == [3]
+    np.testing.assert_array_equal(done.object_ids, np.where(np.arange(400) < 250, 2, 3))
+    one, none = edits.split(_two_heaps(gaussians, rng, apart=1.0), 2)
+    assert none == [] and set(one.object_ids) == {2}
+
+
+def test_an_object_is_cut_into_as_many_parts_as_asked_for(gaussians, rng):
+    touching = _two_heaps(gaussians, rng, apart=1.0)
+    done, new = edits.split(touching, 2, parts=2)
+    again, _ = edits.split(touching, 2, parts=2)
+    np.testing.assert_array_equal(done.object_ids, again.object_ids)
+    assert len(new) == 1
+    larger = done.means[done.object_ids == 2]
+    assert len(larger) >= len(done.means[done.object_ids == 3])
+    with pytest.raises(ValueError, match="400 Gaussians make no 401 parts"):
+        edits.split(touching, 2, parts=401)

@@ -24,6 +24,7 @@ from ggwarp.editing.inpaint.image_inpainting import Inpaint, inpaint_depth, inpa
 from ggwarp.editing.inpaint.object_views import ObjectView, share_in_the_clear, view_object, world_rays
 from ggwarp.editing.inpaint.plane_texture import Surface, paint
 from ggwarp.editing.map_view import MapView, best_views
+from ggwarp.editing.progress import Progress, part_of, silent
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from ggwarp.map.gaussians import SH_C0, Gaussians, join
@@ -32,6 +33,7 @@ from ggwarp.types import Float64
 Bools = NDArray[np.bool_]
 
 _HOLE = 0.5  # less opaque is a hole
+_CLEAR, _SURFACES, _FITTING = (0.1, 0.5), 0.6, 0.75  # of the work's time, where each part lies
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,7 @@ def fill_removed(
     inpaint: Inpaint = inpaint_shade,
     config: FillConfig = FillConfig(),
     device: Any = "cpu",
+    progress: Progress = silent,
 ) -> tuple[Gaussians, int]:
     """Return ``whole`` without the ``removed`` Gaussians, the holes behind them filled, and by how many.
 
@@ -79,19 +82,25 @@ def fill_removed(
         camera: of the run's images.
         poses: [m, 4, 4] camera-to-world, from which the map was made.
         inpaint: makes up what a picture lacks; see :mod:`ggwarp.editing.inpaint.image_inpainting`.
+        progress: told how far the work is.
     """
     kept = remove(whole, removed)
+    progress("looking for views", 0.0)
     view, rest = MapView(whole, camera, device=device), MapView(kept, camera, device=device)
     indices = best_views(view, poses, removed, whole.means[removed], count=config.views)
     if not indices or not len(kept):
         return kept, 0
-    seen, behind = share_in_the_clear(view, rest, [poses[i] for i in indices], removed)
+    poses_of_views = [poses[i] for i in indices]
+    clear = part_of(progress, *_CLEAR)
+    seen, behind = share_in_the_clear(view, rest, poses_of_views, removed, progress=clear)
     hidden = behind & (seen < config.least_seen)
     if hidden.all():
         return kept, 0
     kept = remove(kept, hidden)
     rest = MapView(kept, camera, device=device)
-    object_views = [view_object(view, rest, poses[i], removed) for i in indices]
+    progress("looking at what is behind", _CLEAR[1])
+    object_views = [view_object(view, rest, T_wc, removed) for T_wc in poses_of_views]
+    progress("laying out surfaces", _SURFACES)
     holes = find_holes(kept, object_views, camera, config.holes)
     # What lies on a hole, though no view ever saw it rightly, makes room.
     kept = remove(kept, _over(holes, kept, config))
@@ -104,7 +113,9 @@ def fill_removed(
     free = _over(holes, filled, config)
     free[len(kept) :] = True
     wanted = _wanted_views(filled, surfaces, object_views, camera, config, device)
-    return fit(filled, free, wanted, camera, config.fit, device=device), len(filled) - len(kept)
+    fitting = part_of(progress, _FITTING, 1.0)
+    fitted = fit(filled, free, wanted, camera, config.fit, device=device, progress=fitting)
+    return fitted, len(filled) - len(kept)
 
 
 def _over(holes: list[PlaneHole], gaussians: Gaussians, config: FillConfig) -> Bools:

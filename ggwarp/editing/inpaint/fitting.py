@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from ggwarp.editing.progress import Progress, silent
 from ggwarp.geometry.camera import Camera
 from ggwarp.kernels.optim.adam import AdamRates
 from ggwarp.map.gaussian_map import PARAMETERS, GaussianMap
@@ -58,6 +59,7 @@ def fit(
     config: RefitConfig = RefitConfig(),
     *,
     device: Any = "cpu",
+    progress: Progress = silent,
 ) -> Gaussians:
     """Return ``gaussians`` with those of ``free`` [n] fitted to ``views`` by colour and depth.
 
@@ -82,6 +84,7 @@ def fit(
     for target in targets:
         renderer.provide(target.T_cw)
     for iteration in range(config.iterations):
+        progress("fitting", iteration / config.iterations)
         optimiser.step(targets[iteration % len(targets)])
     fitted = model.to_host()
     return replace(gaussians, **{n: getattr(fitted, n) for n in PARAMETERS if n != "identities"})

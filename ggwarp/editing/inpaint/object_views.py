@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggwarp.editing.map_view import MapView
+from ggwarp.editing.progress import Progress, silent
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from ggwarp.types import Float32, Float64
@@ -64,7 +65,7 @@ def view_object(whole: MapView, kept: MapView, T_wc: Float64, selected: Bools) -
 
 
 def share_in_the_clear(
-    whole: MapView, rest: MapView, poses: list[Float64], selected: Bools
+    whole: MapView, rest: MapView, poses: list[Float64], selected: Bools, *, progress: Progress = silent
 ) -> tuple[Float32, Bools]:
     """Return how much of each Gaussian was ever seen apart from an object, and which the object hid.
 
@@ -80,7 +81,8 @@ def share_in_the_clear(
         where the object was.
     """
     clear, shown, behind = [], [], []
-    for T_wc in poses:
+    for k, T_wc in enumerate(poses):
+        progress("finding what it hid", k / len(poses))
         touched = whole.coverage(T_wc, selected)[0] > _TOUCHED
         clear.append(whole.weights(T_wc, ~touched)[0][~selected])
         everywhere, there = rest.weights(T_wc, np.ones_like(touched), touched)
