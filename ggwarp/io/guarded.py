@@ -43,6 +43,7 @@ CONFIG = FileKind("a configuration", _MIB)
 OBJECTS = FileKind("a list of objects", 16 * _MIB)
 CLASSIFIER = FileKind("an identity classifier", 8 * _MIB)
 TRAJECTORY = FileKind("a trajectory", 256 * _MIB)
+TABLE = FileKind("a table", 256 * _MIB)
 MAP = FileKind("a map", 8 << 30)
 VIDEO = FileKind("a video", 1 << 50)
 

@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from ggwarp.io.atomic import atomic_write
+from ggwarp.io.guarded import TABLE, FileError, read_text
+from ggwarp.io.printable import printable
 
 
 def write_table(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
@@ -26,6 +28,23 @@ def write_table(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, 
     writer.writerows({k: _cell(v) for k, v in row.items()} for row in rows)
     with atomic_write(path) as file:
         file.write(text.getvalue().encode())
+
+
+def read_table(path: Path) -> list[dict[str, str]]:
+    """Return the rows of a table by column; an empty cell is an empty text.
+
+    Raises:
+        FileError: the file cannot be read, or a row has more or fewer cells than there are columns.
+    """
+    reader = csv.DictReader(io.StringIO(read_text(path, TABLE), newline=""), strict=True)
+    try:
+        rows = list(reader)
+    except csv.Error as error:
+        raise FileError(f"{printable(str(path))}:{reader.line_num}: {error}") from None
+    for number, row in enumerate(rows, 2):
+        if None in row or None in row.values():
+            raise FileError(f"{printable(str(path))}:{number}: has not as many cells as there are columns")
+    return rows
 
 
 def _cell(value: Any) -> Any:
