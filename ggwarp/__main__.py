@@ -13,6 +13,7 @@ from ggwarp.interruption import Interruption, end_program_after
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "run": ("ggwarp.run", "follow a recording's camera, and learn a map of its room"),
+    "view": ("ggwarp.viewer.__main__", "look at a run in the browser, and edit its objects there"),
     "objects": ("ggwarp.editing.__main__", "list, show, remove, move, paint and name a run's objects"),
     "export": (
         "ggwarp.export.__main__",
@@ -99,6 +100,7 @@ def _help() -> str:
 ggwarp {__version__}: object-level RGB-D Gaussian-splatting SLAM.
 
   ggwarp run --seq office                 a built-in room, on any machine
+  ggwarp view runs/latest                 look at it, in the browser
   ggwarp objects runs/latest list         what is in it
   ggwarp doctor                           where something does not work
 

@@ -41,6 +41,7 @@ ALLOWED: dict[str, set[str]] = {
     "results": _VALUES | {"map", "io", "objects", "evaluation"},
     "editing": _MAP | {"io", "objects", "evaluation", "results"},
     "export": _MAP | {"io", "objects", "results", "editing", "datasets", "config"},
+    "viewer": _MAP | {"io", "objects", "results", "editing", "config", "datasets"},
     "config": {"types", "geometry", "io", "datasets", "console", "results", *_SYSTEM},
     "console": {"io"},
     "messages": {"types", "io", "config", "datasets"},

@@ -35,6 +35,7 @@ _ESSENTIAL = {
 """What it is called -> the package."""
 
 _EXTRAS = {
+    "viewer": ("viser", "ggwarp view, and ggwarp run --viewer"),
     "lpips": ("lpips", "LPIPS in the results"),
     "ros": ("rosbags", "ROS bags and MCAP files"),
     "export": ("gaussforge", "ggwarp export to spz, sog, usd, ..."),

@@ -39,6 +39,7 @@ __all__ = [
     "Kind",
     "SyntheticOffice",
     "WithoutDepth",
+    "is_live_source",
     "is_there",
     "open_dataset",
     "register",
@@ -117,7 +118,7 @@ def open_dataset(
     if seq in BUILT_IN:
         _no_intrinsics(seq, intrinsics)
         return _built_in(seq, masks, faults)
-    if seq == "-" or seq.startswith(LIVE):
+    if is_live_source(seq):
         return _live(seq, masks, intrinsics)
     kinds = _kinds()
     candidates = _candidates(seq, Path(data_root))
@@ -163,6 +164,11 @@ def _deeper(folder: Path, kinds: list[Kind]) -> Path | None:
 def is_there(seq: str, data_root: Path) -> bool:
     """Return whether :func:`open_dataset` finds something of that name, and would not stand in for it."""
     return seq in BUILT_IN or any(path.exists() for path in _candidates(seq, Path(data_root)))
+
+
+def is_live_source(seq: str) -> bool:
+    """Return whether ``seq`` means a source whose frames come once, as they are taken."""
+    return seq == "-" or seq.startswith(LIVE)
 
 
 def _live(seq: str, masks: Masks, intrinsics: Intrinsics | None) -> Dataset:

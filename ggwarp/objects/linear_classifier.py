@@ -35,10 +35,17 @@ class LinearClassifier:
 
     def probabilities(self, identities: Float32, object_id: int) -> Float32:
         """Return [n] the probability that each of ``identities`` [n, 16] belongs to ``object_id``."""
-        logits = identities @ self.weights.T + self.biases
-        logits -= logits.max(axis=1, keepdims=True)
-        exponentials = np.exp(logits)
+        exponentials = self._exponentials(identities)
         return exponentials[:, self.ids == object_id].sum(axis=1) / exponentials.sum(axis=1)
+
+    def confidence(self, identities: Float32) -> Float32:
+        """Return [n] the probability of each of ``identities``' [n, 16] likeliest class."""
+        return 1.0 / self._exponentials(identities).sum(axis=1)
+
+    def _exponentials(self, identities: Float32) -> Float32:
+        """Return [n, classes] exp(z), the largest of each row 1."""
+        logits = identities @ self.weights.T + self.biases
+        return np.exp(logits - logits.max(axis=1, keepdims=True))
 
 
 def write_classifier(path: str | Path, classifier: LinearClassifier) -> None:

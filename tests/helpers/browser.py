@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A real browser without a screen, for tests of pages; they are skipped where there is none."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+
+_NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+_SOFTWARE_WEBGL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+_PATIENCE = 120_000.0  # milliseconds: a busy machine draws a picture of WebGL in many seconds
+
+
+def find_browser() -> str:
+    """Return the path of a Chromium; skip the test where there is none."""
+    found = next((path for name in _NAMES if (path := shutil.which(name))), None)
+    if found is None:
+        pytest.skip("no browser: apt-get install chromium")
+    return found
+
+
+@contextmanager
+def open_browser(width: int = 1280, height: int = 800) -> Iterator[Any]:
+    """Yield a page of Playwright's, of this size, which draws WebGL on the CPU."""
+    path = find_browser()
+    playwright = pytest.importorskip("playwright.sync_api", reason="no playwright: pip install playwright")
+    with playwright.sync_playwright() as driver:
+        arguments = [*_SOFTWARE_WEBGL, "--no-sandbox"]
+        browser = driver.chromium.launch(executable_path=path, args=arguments)
+        try:
+            page = browser.new_page(viewport={"width": width, "height": height})
+            page.context.set_default_timeout(_PATIENCE)
+            yield page
+        finally:
+            browser.close()
