@@ -175,4 +175,5 @@ def _split(run: SavedRun, step: argparse.Namespace) -> SavedRun:
 def _unused_id(run: SavedRun) -> int:
     """Return an id beyond all that the masks, the classifier or an edit ever had."""
     known = [i for record in run.objects for i in (record.id, *record.source_ids)]
-    return 1 + max([*known, *([] if run.classifier is None else run.classifier.ids.tolist())])
+    classes = [] if run.classifier is None else [int(i) for i in run.classifier.ids]
+    return 1 + max([0, *known, *classes])
