@@ -49,7 +49,7 @@ class Chosen:
         """It, in one line."""
         best, chosen = self.best, self.chosen
         if chosen == best:
-            return f"{chosen.setting}: the best is the fastest, {chosen.psnr:.2f} dB at {chosen.fps:.2f} fps"
+            return f"{best.setting}: {best.psnr:.2f} dB at {best.fps:.2f} fps; no faster one is so near it"
         return (
             f"{chosen.setting}: {chosen.psnr:.2f} dB at {chosen.fps:.2f} fps; "
             f"the best, {best.setting}: {best.psnr:.2f} dB at {best.fps:.2f} fps"

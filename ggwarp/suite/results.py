@@ -67,11 +67,13 @@ class Mean:
         value: mean.
         spread: sample standard deviation; None: there is one value alone.
         count: of values.
+        missing: seeds whose runs have not measured it.
     """
 
     value: float
     spread: float | None
     count: int
+    missing: int = 0
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,8 @@ class Results:
         sequences, settings: their names, in the order of the tables.
         runs: all runs of the suite, done or not.
         version: of ggwarp.
-        machine: what says on what figures of speed were taken.
+        machine: where the suite was started, and its load when the results were written, which says what
+            figures of speed are worth.
     """
 
     name: str
@@ -102,7 +105,12 @@ class Results:
 
     def mean(self, sequence: str, setting: str, metric: str) -> Mean | None:
         """Return a figure of the runs that are done, over seeds; None: none has measured it."""
-        return mean_of([run.metrics[metric] for run in self.of(sequence, setting) if metric in run.metrics])
+        runs = self.of(sequence, setting)
+        values = [run.metrics[metric] for run in runs if metric in run.metrics]
+        if not values:
+            return None
+        spread = statistics.stdev(values) if len(values) > 1 else None
+        return Mean(statistics.fmean(values), spread, len(values), len(runs) - len(values))
 
     def average(self, setting: str, metric: str) -> float | None:
         """Return the mean over sequences, as papers print it; None: a sequence lacks the figure."""
@@ -130,14 +138,6 @@ class Results:
         return cells
 
 
-def mean_of(values: list[float]) -> Mean | None:
-    """Return the mean of ``values`` with its spread; None: there are none."""
-    if not values:
-        return None
-    spread = statistics.stdev(values) if len(values) > 1 else None
-    return Mean(statistics.fmean(values), spread, len(values))
-
-
 def gather(suite: Suite, site: Site, records: Mapping[Job, JobRecord]) -> Results:
     """Return the results of a suite from the records and the run folders in ``site``."""
     return Results(
@@ -148,7 +148,7 @@ def gather(suite: Suite, site: Site, records: Mapping[Job, JobRecord]) -> Result
         settings=tuple(setting.name for setting in suite.settings),
         runs=tuple(_result(site, job, record) for job, record in records.items()),
         published=suite.published,
-        machine={"system": platform.platform(), "cores": os.cpu_count(), "device": site.device},
+        machine=_machine(site.device),
     )
 
 
@@ -172,6 +172,13 @@ def load_results(path: Path) -> Results:
         return Results(runs=runs, **listed, **values)
     except (AttributeError, KeyError, TypeError):
         raise SuiteError(f"{name}: is not what ggwarp suite writes; run the suite anew") from None
+
+
+def _machine(device: str) -> dict[str, Any]:
+    found: dict[str, Any] = {"system": platform.platform(), "cores": os.cpu_count(), "device": device}
+    with contextlib.suppress(AttributeError, OSError):
+        found["load"] = round(os.getloadavg()[0], 1)
+    return found
 
 
 def _result(site: Site, job: Job, record: JobRecord) -> RunResult:

@@ -79,6 +79,11 @@ def test_means_have_their_spread():
     assert r"31.00 $\pm$ 1.00" in latex(three) and "over 3 seeds" in markdown(three)
 
 
+def test_a_seed_that_failed_is_told():
+    two = results_of(run("office", "fast", 0, psnr=30.0), run("office", "fast", 1, status="failed"))
+    assert cells(markdown(two), "ggwarp, fast", "PSNR") == ["30.00 (1 of 2 seeds)", "30.00"]
+
+
 def test_numbers_are_printed_as_papers_do():
     assert [number(value, "ssim") for value in (0.9412, 0.0, 0.9999)] == [".941", ".000", "1.000"]
     assert [number(0.0161, "ate_rmse_cm"), number(0.5, "psnr"), number(7.0, "loops_closed")] == [

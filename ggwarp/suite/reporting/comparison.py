@@ -55,7 +55,7 @@ class Difference:
         metric = metric_of(self.metric)
         return (
             f"{self.setting}: {metric.name} {self.before:.{metric.digits + 1}f} -> "
-            f"{self.now:.{metric.digits + 1}f} (p {self.p_text}, {self.pairs} pairs): {self.verdict}"
+            f"{self.now:.{metric.digits + 1}f} (p {self.p_text}, pairs {self.pairs}): {self.verdict}"
         )
 
     @property
@@ -106,7 +106,7 @@ def compare(results: Results, earlier: Results, name: str) -> Comparison:
         f"difference, corrected for {len(rows)} figures; a difference counts below {SIGNIFICANT:g}."
     )
     if most and 2.0 ** (1 - most) > SIGNIFICANT:
-        text += f" {most} pairs are too few for any difference to count: at least 6 are needed."
+        text += " Fewer than 6 pairs, as here, are too few for any difference to count."
     return Comparison(name, rows, text)
 
 

@@ -112,11 +112,13 @@ def paper_rows(results: Results) -> list[Row]:
 
 
 def shown(cell: Cell, metric: str) -> str:
-    """Return the text of a cell: 35.37, .941, 35.37 ± 0.20, not run."""
+    """Return the text of a cell: 35.37, .941, 35.37 ± 0.20, 35.37 (1 of 2 seeds), not run."""
     if isinstance(cell, State):
         return cell.value
     text = number(cell.value, metric)
-    return text if cell.spread is None else f"{text} ± {number(cell.spread, metric)}"
+    if cell.spread is not None:
+        text += f" ± {number(cell.spread, metric)}"
+    return f"{text} ({cell.count} of {cell.count + cell.missing} seeds)" if cell.missing else text
 
 
 def number(value: float, metric: str) -> str:
