@@ -18,7 +18,7 @@ from typing import Any
 import tyro
 from rich.console import Console
 
-from benchmarking import kernels, plots, scaling, sweep, system, tracking
+from benchmarking import kernels, plots, scaling, system, tracking
 from benchmarking.endurance import memory
 from benchmarking.options import BenchmarkError, check_out
 from benchmarking.record import Record, write_record
@@ -32,7 +32,6 @@ SUBCOMMANDS: dict[str, tuple[Any, Callable[[Any], Record]]] = {
     "tracking": (tracking.TrackingOptions, tracking.run),
     "system": (system.SystemOptions, system.run),
     "scaling": (scaling.ScalingOptions, scaling.run),
-    "sweep": (sweep.SweepOptions, sweep.run),
     "memory": (memory.MemoryOptions, memory.run),
 }
 """Name -> its options and what it runs."""

@@ -307,7 +307,7 @@ def test_every_subcommand_has_its_plot(tmp_path: Path):
     sections = {"tracking": [Section(tracking.BESIDE, beside), growth], "scaling": [*scales, growth]}
     columns = ("resident MB", "images in memory MB", "in the file MB", "Gaussians", "trackable points")
     course = [dict.fromkeys(("frames", *columns, "tracking ms", "mapping ms"), k) for k in (10, 20)]
-    sections |= {"system": runs, "sweep": runs, "memory": [Section(memory.COURSE, course)]}
+    sections |= {"system": runs, "memory": [Section(memory.COURSE, course)]}
     for name, content in sections.items():
         record = made_record(sections=content)
         record.benchmark = name

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""tools/benchmark.py: whole runs, and the paper's rows made of them."""
+"""tools/benchmark.py: whole runs, and what is made of them."""
 
 import json
 import time
@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 import benchmark
-from benchmarking import sweep, system
+from benchmarking import system
 from benchmarking.options import check_out, new_record
-from benchmarking.runs import SYNCHRONOUS, Outcome, RunSpec, accepts, execute
+from benchmarking.runs import Outcome, RunSpec, execute
 from benchmarking.timed_run import Clock
 from ggwarp.config.command_line import parse
 
@@ -26,11 +26,6 @@ def test_a_run_s_options_are_the_command_s(tmp_path: Path):
         "the preset's own"
     )
     assert parse(RunSpec("room0").arguments(tmp_path)).run.fps is None
-
-
-def test_caps_that_the_command_does_not_know_are_told():
-    assert accepts("30") and accepts(SYNCHRONOUS)
-    assert not accepts("-3") and not accepts("fast")
 
 
 def test_shares_are_of_the_loop_s_time():
@@ -49,31 +44,6 @@ def test_a_clock_counts_nested_calls_once():
     passed = time.perf_counter() - started
     assert 0.04 <= clock.seconds <= passed
     assert clock.around(lambda x: x + 1)(2) == 3
-
-
-def test_a_sweep_s_defaults_suit_the_device(tmp_path: Path):
-    options = sweep.SweepOptions(data=tmp_path)
-    assert sweep.defaults(options, on_cpu=False) == (sweep.REPLICA, None, sweep.CAPS)
-    assert sweep.defaults(options, on_cpu=True) == (("office0",), "0:60", sweep.CPU_CAPS)
-    (tmp_path / "redkitchen").mkdir()
-    assert sweep.defaults(options, on_cpu=True) == (("office0", "redkitchen"), "0:60", sweep.CPU_CAPS)
-    given = sweep.SweepOptions(seq=("room1",), fps=("3",), frames="3:9", data=tmp_path)
-    assert sweep.defaults(given, on_cpu=True) == (("room1",), "3:9", ("3",))
-
-
-def test_rows_are_the_paper_s():
-    metrics = {
-        "room0": {"psnr": 35.367, "ssim": 0.9412, "lpips": 0.0814, "fps": 29.97},
-        "room1": {"psnr": 37.8, "ssim": 0.957, "lpips": None, "fps": 10.0},
-        "room2": {},
-    }
-    rows = sweep.paper_rows("gg-slam", "30", metrics)
-    assert [row["system"] for row in rows] == ["ggwarp gg-slam @30"] * 4
-    cells = {row[""]: [row[k] for k in ("room0", "room1", "room2", "Avg.")] for row in rows}
-    assert cells["PSNR"] == ["35.37", "37.80", "-", "36.58"]
-    assert cells["SSIM"] == [".941", ".957", "-", ".949"]
-    assert cells["LPIPS"] == [".081", "-", "-", ".081"]
-    assert cells["FPS"] == ["29.97", "10.00", "-", "19.98"]
 
 
 def test_speed_and_quality_of_a_run_say_what_it_ran_on():

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from benchmarking import kernels, scaling, sweep, system, tracking
+from benchmarking import kernels, scaling, system, tracking
 from benchmarking.endurance import memory
 from benchmarking.record import Record, Row
 
@@ -128,23 +128,6 @@ def _system(plt: Any, record: Record) -> Any:
     return figure
 
 
-def _sweep(plt: Any, record: Record) -> Any:
-    speed, quality = _rows(record, system.SPEED), _rows(record, system.QUALITY)
-    found: dict[str, list[tuple[float, float]]] = {}
-    for fast, good in zip(speed, quality, strict=True):
-        if fast["FPS"] is not None and good["PSNR"] is not None:
-            found.setdefault(fast["sequence"], []).append((fast["FPS"], good["PSNR"]))
-    if not found:
-        return None
-    figure, axes = plt.subplots(figsize=(7, 4))
-    for sequence, points in found.items():
-        axes.plot(*zip(*sorted(points), strict=True), "o-", label=sequence)
-    axes.set_xlabel("frames a second")
-    axes.set_ylabel("PSNR, dB")
-    axes.legend(fontsize=7, title=sweep.TABLE)
-    return figure
-
-
 def _memory(plt: Any, record: Record) -> Any:
     rows = _rows(record, memory.COURSE)
     if not rows:
@@ -170,7 +153,6 @@ _DRAWINGS: dict[str, Callable[[Any, Record], Any]] = {
     "tracking": _tracking,
     "system": _system,
     "scaling": _scaling,
-    "sweep": _sweep,
     "memory": _memory,
 }
 """Subcommand -> its figure; None where there is nothing to show."""

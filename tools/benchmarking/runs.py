@@ -13,9 +13,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ggwarp.config import ConfigError
-from ggwarp.config.command_line import parse
-
 SYNCHRONOUS = "none"
 """The cap of a run that is not live."""
 
@@ -98,17 +95,6 @@ class Outcome:
         known = [share for share in shares.values() if share is not None]
         shares["rest"] = max(0.0, 1.0 - sum(known)) if known else None
         return shares
-
-
-def accepts(fps: str) -> bool:
-    """Return whether the command takes ``--fps FPS``."""
-    if fps == SYNCHRONOUS:
-        return True
-    try:
-        parse(["--seq", "office", "--fps", fps])
-    except ConfigError:
-        return False
-    return True
 
 
 def execute(spec: RunSpec) -> Outcome:
