@@ -8,6 +8,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,6 +32,14 @@ _SAMPLES = 5  # masks that are looked at when a folder is opened
 _SAME_SHAPE = 0.02  # of the aspect: the rounding of a small mask
 
 
+class _Matched(NamedTuple):
+    """Each frame's mask, or None, what they were matched by, and what is odd about that, a line each."""
+
+    masks: list[Path | None]
+    by: str
+    notes: list[str]
+
+
 class MaskFolder:
     """The object masks of a sequence.
 
@@ -48,19 +57,21 @@ class MaskFolder:
         *,
         size: tuple[int, int] | None = None,
         void: Sequence[int] = (),
+        matched: _Matched | None = None,
     ) -> None:
         """Match the masks in ``folder`` with the frames whose image stems are ``stems``, and look at a few.
 
         Args:
             size: (width, height) of the frames, pixels, whose shape the masks must have; None: any.
             void: ids of pixels that say nothing.
+            matched: each frame's mask, where that has been found out; None: not yet.
 
         Raises:
             DatasetError: they are of another shape than the frames, none can be read, or they are no masks.
         """
         self.folder = folder
         self.void = tuple(sorted(set(void)))
-        self._found, self._by, self.notes = _matched(folder, stems)
+        self._found, self._by, self.notes = matched or _matched(folder, stems)
         self._warned: set[str] = set()
         self._forms: set[str] = set()
         self._size = size
@@ -153,14 +164,15 @@ class MaskFolder:
             self._warned.add(kind)
 
 
-def _matched(folder: Path, stems: Sequence[str]) -> tuple[list[Path | None], str, list[str]]:
-    """Return each frame's mask in ``folder``, what they were matched by, and what is odd about that."""
+def _matched(folder: Path, stems: Sequence[str]) -> _Matched:
+    """Return which mask in ``folder`` is whose."""
     files = in_order([path for path in folder.glob("*.png") if not path.name.startswith(".")])
     try:
         pairing = pair_files([Path(f"{stem}.png") for stem in stems], files, "images", "masks")
     except DatasetError:
-        return [None] * len(stems), "name", []
-    return [files[i] if i >= 0 else None for i in pairing.partners], pairing.by, pairing.notes
+        return _Matched([None] * len(stems), "name", [])
+    found = [files[i] if i >= 0 else None for i in pairing.partners]
+    return _Matched(found, pairing.by, pairing.notes)
 
 
 class WithMasks:
@@ -279,12 +291,15 @@ def _has_jpegs(folders: Sequence[Path]) -> bool:
 def _first_with_masks(
     folders: list[Path], stems: Sequence[str], size: tuple[int, int] | None, void: Sequence[int]
 ) -> MaskFolder | None:
-    found = next((folder for folder in folders if _has_masks(folder, stems)), None)
-    return None if found is None else MaskFolder(found, stems, size=size, void=void)
+    for folder in filter(Path.is_dir, folders):
+        matched = _matched(folder, stems)
+        if any(matched.masks):
+            return MaskFolder(folder, stems, size=size, void=void, matched=matched)
+    return None
 
 
 def _has_masks(folder: Path, stems: Sequence[str]) -> bool:
-    return folder.is_dir() and any(path is not None for path in _matched(folder, stems)[0])
+    return folder.is_dir() and any(_matched(folder, stems).masks)
 
 
 def find_true_masks(
@@ -296,7 +311,11 @@ def find_true_masks(
         sequence, stems, size: as for :func:`find_masks`.
         given: the masks in use; None: none, and so nothing to measure.
     """
-    own = next((f for f in (sequence / name for name in MASK_FOLDERS) if _has_masks(f, stems)), None)
-    if given is None or own is None or own.resolve() == given.folder.resolve():
+    if given is None:
         return None
-    return MaskFolder(own, stems, size=size, void=given.void)
+    for folder in (sequence / name for name in MASK_FOLDERS):
+        if folder.resolve() == given.folder.resolve():
+            return None
+        if _has_masks(folder, stems):
+            return MaskFolder(folder, stems, size=size, void=given.void)
+    return None
