@@ -119,7 +119,8 @@ def _nearest_to_centre(depth: Float32, rows: NDArray[np.intp], columns: NDArray[
 def sample_depth(depth: Float32, u: Float32, v: Float32) -> Float32:
     """Return ``depth`` at positions between pixels, never mixing two surfaces.
 
-    Between four valid readings that agree to 2 % it is bilinear; else it is the nearest pixel's.
+    Between four valid readings that agree to 2 %, or differ as a slanted surface beside them does, inverse
+    depth is bilinear, as on any plane; else it is the nearest pixel's.
 
     Args:
         depth: [H, W] metres, 0 = no reading.
@@ -130,13 +131,35 @@ def sample_depth(depth: Float32, u: Float32, v: Float32) -> Float32:
     """
     # Of the four pixels whose top left one this is; 0, no reading, is the lowest and agrees with none.
     lowest, highest = _of_four(np.minimum, depth), _of_four(np.maximum, depth)
-    agree = highest - lowest < _AGREEMENT * lowest
+    inverse = np.divide(1.0, depth, out=np.zeros_like(depth), where=depth > 0.0)
+    agree = (highest - lowest < _AGREEMENT * lowest) | _slanted(inverse)
     constant = cv2.BORDER_CONSTANT
     nearest = cv2.remap(depth, u, v, cv2.INTER_NEAREST, borderMode=constant)
-    between = cv2.remap(depth, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    between = cv2.remap(inverse, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     left, top = np.floor(u).astype(np.float32), np.floor(v).astype(np.float32)
     good = cv2.remap(agree.astype(np.uint8), left, top, cv2.INTER_NEAREST, borderMode=constant)
-    return np.where((good > 0) & (nearest > 0.0), between, nearest)
+    linear = (good > 0) & (nearest > 0.0) & (between > 0.0)
+    return np.divide(1.0, between, out=nearest, where=linear)
+
+
+def _slanted(inverse: Float32) -> NDArray[np.bool_]:
+    """Return [H, W] whether the four pixels whose top left one this is lie on the slope of those beside them.
+
+    Args:
+        inverse: [H, W] inverse depth, which is linear on a plane; 0 = no reading.
+    """
+    across, down = _continued(inverse), _continued(inverse.T).T
+    out = np.zeros(inverse.shape, np.bool_)
+    out[:-1, :-1] = across[:-1] & across[1:] & down[:, :-1] & down[:, 1:]
+    return out
+
+
+def _continued(inverse: Float32) -> NDArray[np.bool_]:
+    """Return [H, W - 1] whether the step to the next pixel in a row is that before or after it, to 2 %."""
+    bend = np.abs(np.diff(inverse, n=2, axis=1))
+    before = np.pad(bend, ((0, 0), (1, 0)), constant_values=np.inf)
+    after = np.pad(bend, ((0, 0), (0, 1)), constant_values=np.inf)
+    return np.minimum(before, after) < _AGREEMENT * np.minimum(inverse[:, :-1], inverse[:, 1:])
 
 
 def _of_four(ufunc: np.ufunc, image: Float32) -> Float32:

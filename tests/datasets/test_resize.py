@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ggwarp.datasets.resize import reduce_depth, resize_labels, resize_nearest
+from ggwarp.datasets.resize import enlarge_depth, reduce_depth, resize_labels, resize_nearest
 
 
 def reduce_by_definition(depth: np.ndarray, width: int, height: int) -> np.ndarray:
@@ -111,3 +111,23 @@ def test_labels_that_grow_are_the_nearest() -> None:
     labels = np.arange(6, dtype=np.int32).reshape(2, 3)
     np.testing.assert_array_equal(resize_labels(labels, 6, 4), np.kron(labels, np.ones((2, 2), int)))
     assert resize_labels(labels, 3, 2) is labels
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.02, 0.06])
+def test_a_slanted_plane_stays_one_when_depth_is_enlarged(slope: float) -> None:
+    """Inverse depth that falls by up to 2 % of its start a pixel, and at last by 6 % of itself."""
+    v, u = np.mgrid[:24, :32]
+    small = (1.0 / (1.0 - slope * u / 3.0 + 0.01 * v)).astype(np.float32)
+    at_v, at_u = (np.mgrid[:96, :128] + 0.5) / 4.0 - 0.5
+    want = 1.0 / (1.0 - slope * at_u / 3.0 + 0.01 * at_v)
+    inner = np.s_[4:-4, 4:-4]
+    np.testing.assert_allclose(enlarge_depth(small, 128, 96)[inner], want[inner], rtol=1e-4)
+
+
+def test_two_slanted_surfaces_are_not_mixed() -> None:
+    u = np.tile(np.arange(32.0), (24, 1))
+    near, far = 1.0 / (1.0 - 0.015 * u), 2.0 / (1.0 - 0.015 * u)
+    small = np.where(u < 16, near, far).astype(np.float32)
+    large = enlarge_depth(small, 128, 96)
+    ratio = large[48] * (1.0 - 0.015 * ((np.arange(128) + 0.5) / 4.0 - 0.5))
+    assert (np.minimum(np.abs(ratio - 1.0), np.abs(ratio / 2.0 - 1.0)) < 0.02).all()

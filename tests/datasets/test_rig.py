@@ -42,6 +42,11 @@ def seen_by(camera: Camera, T_wc: np.ndarray, distortion: tuple[float, ...] = ()
     return np.where(hit, box, plane).astype(np.float32)
 
 
+def straight(i: int) -> np.ndarray:
+    """Return the room's pose ``i``, from one that faces its far wall and the box."""
+    return se3.inverse(room.pose(0)) @ room.pose(i)
+
+
 def away_from_edges(depth: np.ndarray, margin: int = 3) -> np.ndarray:
     """Return [h, w] where the scene has no edge near by."""
     kernel = np.ones((2 * margin + 1,) * 2, np.uint8)
@@ -177,7 +182,7 @@ def test_edges_tell_whether_depth_is_bent_as_colour(
     ideal = cv2.undistortPoints(grid.reshape(-1, 1, 2), K, np.array(lens), P=K).reshape(180, 240, 2)
     u, v = ideal[..., 0].astype(np.float32), ideal[..., 1].astype(np.float32)
     for i in range(4):
-        rgb, depth = room.look(camera, room.pose(i))
+        rgb, depth = room.look(camera, straight(i))
         rgb[depth < 1.9] //= 2  # the box is darker than the walls
         seen = cv2.remap(depth, u, v, cv2.INTER_NEAREST) if bent else depth
         sample.save(tmp_path / f"color/{i}.png", cv2.remap(rgb, u, v, cv2.INTER_LINEAR))
@@ -185,7 +190,7 @@ def test_edges_tell_whether_depth_is_bent_as_colour(
     values = dict(w=240, h=180, fx=camera.fx, fy=camera.fy, cx=camera.cx, cy=camera.cy)
     (tmp_path / "camera.json").write_text(json.dumps(values | {"distortion": lens}))
     dataset = open_dataset(str(tmp_path), data_root=tmp_path)
-    got, want = dataset[1].depth, room.look(camera, room.pose(1))[1]
+    got, want = dataset[1].depth, room.look(camera, straight(1))[1]
     assert got is not None and np.median(np.abs(got - want)[got > 0]) < 2e-3
     assert ("bent as the colour is" in source_of(dataset).depth_unit) == bent
     told = json.dumps(values | {"distortion": lens, "depth_distorted": not bent})

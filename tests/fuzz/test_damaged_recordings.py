@@ -7,81 +7,20 @@
 import os
 import shutil
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
-from bag_recordings import mcap, realsense, ros1, ros2
 from damage import damage
-from distributed_data_sets import LAYOUTS, sens
+from every_layout import FRAMES, KINDS, place
 from ggwarp.datasets import DatasetError, FrameError
 from ggwarp.datasets.plan.sequence_plan import plan_sequence
-from phone_recordings import opened, r3d
-from recorded_scene import COLOUR, look, millimetres, pose
+from phone_recordings import opened
 
 COUNT = int(os.environ.get("GGWARP_DAMAGED", "100"))
 LONGEST_S = 60
-FRAMES = 3
-
-
-def plain(path: Path, kind: str) -> None:
-    for i in range(FRAMES):
-        rgb, depth = look(COLOUR, pose(i))
-        folders = ("results", "results") if kind == "replica" else ("color", "depth")
-        names = (
-            (f"frame{i:06d}.jpg", f"depth{i:06d}.png") if kind == "replica" else (f"{i}.png", f"{i}.{kind}")
-        )
-        for folder in folders:
-            (path / folder).mkdir(exist_ok=True, parents=True)
-        assert cv2.imwrite(str(path / folders[0] / names[0]), rgb[..., ::-1])
-        place = path / folders[1] / names[1]
-        if kind == "npy":
-            np.save(place, depth)
-        else:
-            assert cv2.imwrite(str(place), millimetres(depth))
-        (path / "object_mask").mkdir(exist_ok=True)
-        stem = f"frame{i:06d}" if kind == "replica" else str(i)
-        assert cv2.imwrite(str(path / f"object_mask/{stem}.png"), (depth > 2).astype(np.uint8))
-    names = {
-        "w": 80,
-        "h": 60,
-        "fx": COLOUR.fx,
-        "fy": COLOUR.fy,
-        "cx": COLOUR.cx,
-        "cy": COLOUR.cy,
-        "scale": 1000,
-    }
-    text = str(names).replace("'", '"')
-    (path / ("cam_params.json" if kind == "replica" else "camera.json")).write_text(text)
-    rows = (" ".join(map(str, pose(i).ravel())) for i in range(FRAMES))
-    (path / "traj.txt").write_text("\n".join(rows))
-
-
-def tum(path: Path) -> None:
-    plain(path, "png")
-    for name, folder in (("rgb", "color"), ("depth", "depth")):
-        (path / f"{name}.txt").write_text("".join(f"{i / 30:.6f} {folder}/{i}.png\n" for i in range(FRAMES)))
-    (path / "groundtruth.txt").write_text("".join(f"{i / 30:.6f} {i} 0 0 0 0 0 1\n" for i in range(FRAMES)))
-
-
-KINDS: dict[str, Callable[[Path], object]] = {
-    **LAYOUTS,
-    "r3d": lambda path: r3d(path / "scan.r3d"),
-    "sens": lambda path: sens(path / "scan.sens"),
-    "ros1": lambda path: ros1(path / "scan.bag", registered=False, compressed=True),
-    "realsense": lambda path: realsense(path / "scan.bag"),
-    "ros2": lambda path: ros2(path / "scan", registered=True, compressed=False),
-    "mcap": lambda path: mcap(path / "scan.mcap", registered=False, compressed=False),
-    "replica": lambda path: plain(path, "replica"),
-    "png": lambda path: plain(path, "png"),
-    "tiff": lambda path: plain(path, "tiff"),
-    "npy": lambda path: plain(path, "npy"),
-    "tum": tum,
-}
-WITHIN = ("scan.r3d", "scan.sens", "scan.bag", "scan.mcap", "scan")
 
 
 @pytest.fixture(scope="module")
@@ -110,10 +49,6 @@ def no_hanging() -> Iterator[None]:
     yield
     signal.alarm(0)
     signal.signal(signal.SIGALRM, before)
-
-
-def place(folder: Path) -> Path:
-    return next((folder / name for name in WITHIN if (folder / name).exists()), folder)
 
 
 @pytest.mark.parametrize("name", KINDS)

@@ -102,9 +102,8 @@ def _recording(
     found.append(("/tf_static", start, tree))
     for i in range(FRAMES):
         t = start + i / 30
-        rgb, depth = look(COLOUR, pose(i))
-        if not registered:
-            depth = look(DEPTH_CAMERA, pose(i) @ COLOUR_FROM_DEPTH)[1]
+        rgb, later = look(COLOUR, pose(i))[0], pose(i + 0.004 * 30)
+        depth = look(COLOUR, later)[1] if registered else look(DEPTH_CAMERA, later @ COLOUR_FROM_DEPTH)[1]
         found.append(("/camera/color/camera_info", t, m.info(t, frame, COLOUR)))
         info = m.info(t, depth_frame, COLOUR if registered else DEPTH_CAMERA)
         found.append((f"{depth_topic.rsplit('/', 1)[0]}/camera_info", t, info))

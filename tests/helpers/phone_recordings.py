@@ -15,7 +15,7 @@ import OpenEXR
 from ggwarp.datasets import Dataset, open_dataset
 from recorded_scene import COLOUR, gl, jpeg, look, millimetres, png, pose, quaternion
 
-SMALL = COLOUR.resized(20, 15)
+SMALL = COLOUR.resized(40, 30)
 FRAMES = 3
 K_ROWS = [[COLOUR.fx, 0.0, COLOUR.cx], [0.0, COLOUR.fy, COLOUR.cy], [0.0, 0.0, 1.0]]
 
@@ -42,7 +42,7 @@ def stray(path: Path, *, own_cameras: bool = False) -> Path:
         depth = look(SMALL, pose(i))[1]
         write(path / f"depth/{i:06d}.png", png(millimetres(depth)))
         sure = np.full(depth.shape, 2, np.uint8)
-        sure[:2], sure[2:6] = 0, 1
+        sure[:4], sure[4:12] = 0, 1
         write(path / f"confidence/{i:06d}.png", png(sure))
         values = [i / 60, i, *pose(i)[:3, 3], *quaternion(pose(i))]
         values += [COLOUR.fx, COLOUR.fy, COLOUR.cx, COLOUR.cy] if own_cameras else []
@@ -97,7 +97,10 @@ def polycam(path: Path) -> None:
         write(path / f"keyframes/corrected_images/{stamp}.jpg", jpeg(rgb))
         write(path / f"keyframes/images/{stamp}.jpg", jpeg(255 - rgb))
         write(path / f"keyframes/depth/{stamp}.png", png(millimetres(look(SMALL, pose(i))[1])))
-        write(path / f"keyframes/confidence/{stamp}.png", png(np.full((15, 20), 127, np.uint8)))
+        write(
+            path / f"keyframes/confidence/{stamp}.png",
+            png(np.full((SMALL.height, SMALL.width), 127, np.uint8)),
+        )
         values = {f"t_{r}{c}": float(gl(pose(i))[r, c]) for r in range(3) for c in range(4)}
         values |= {
             "width": 80,
@@ -115,7 +118,7 @@ def scanner_app(path: Path) -> None:
     for i in range(2 * FRAMES):
         at = pose(i // 2)
         write(path / f"depth_{i:05d}.png", png(millimetres(look(SMALL, at)[1])))
-        write(path / f"conf_{i:05d}.png", png(np.full((15, 20), 2, np.uint8)))
+        write(path / f"conf_{i:05d}.png", png(np.full((SMALL.height, SMALL.width), 2, np.uint8)))
         values = {
             "intrinsics": np.ravel(K_ROWS).tolist(),
             "cameraPoseARFrame": gl(at).ravel().tolist(),

@@ -14,14 +14,19 @@ from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 
 COLOUR = Camera(80, 60, 65.0, 66.0, 40.2, 29.4)
-"""A colour camera with 4:3 pictures; depth is ``COLOUR.resized(20, 15)`` where a phone would make it."""
+"""A colour camera with 4:3 pictures; depth is ``COLOUR.resized(40, 30)`` where a phone would make it."""
 _WALLS = ((0, 1.8), (0, -1.6), (1, 1.2), (1, -1.1), (2, 2.6), (2, -2.0))
+_BEGIN = se3.se3_exp([0, 0, 0, 0, 0.43, 0]) @ se3.se3_exp([0, 0, 0, -0.34, 0, 0])
+_BEGIN[:3, 3] = -0.9, -0.4, -0.6
 _BOX = np.array([[-0.5, 0.1], [0.2, 0.9], [1.3, 1.8]])
 
 
-def pose(i: int) -> np.ndarray:
-    """Return the camera-to-world pose of frame ``i``: some way round and up, a few degrees at a time."""
-    return se3.se3_exp([0.04 * i, -0.02 * i, 0.03 * i, 0.02 * i, -0.05 * i, 0.03 * i])
+def pose(i: float) -> np.ndarray:
+    """Return the camera-to-world pose of frame ``i``: some way round and up, a few degrees at a time.
+
+    It looks down into a corner, so that three walls and the box hold it in every direction.
+    """
+    return _BEGIN @ se3.se3_exp([0.04 * i, -0.02 * i, 0.03 * i, 0.02 * i, -0.05 * i, 0.03 * i])
 
 
 def look(camera: Camera, T_wc: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
