@@ -57,7 +57,7 @@ NOT_COMPARED = {
 }
 
 STAGES = ("open", "track", "map", "checkpoint", "refine", "save", "evaluate")
-"""Of a run whose program and kernels are there; import and compile, which take long, are killed more seldom."""
+"""Of a run whose program and kernels are there; import and compile take long, and are killed more seldom."""
 
 _UNSEEN = {"import": 1.5, "compile": 12.0}
 """Seconds within which a run is killed in stages that the run that is never stopped does not have."""
