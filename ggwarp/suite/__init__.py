@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ggwarp.suite.definition import Suite, SuiteError, load_suite
-    from ggwarp.suite.execution import execute
+    from ggwarp.suite.execution import execute, open_site
     from ggwarp.suite.job import Job, Resources
     from ggwarp.suite.pool import LocalPool, Pool
     from ggwarp.suite.ray_pool import RayPool
@@ -25,6 +25,7 @@ __all__ = [
     "SuiteError",
     "execute",
     "load_suite",
+    "open_site",
 ]
 
 _HOMES = {
@@ -33,7 +34,7 @@ _HOMES = {
     **dict.fromkeys(["LocalPool", "Pool"], "pool"),
     "RayPool": "ray_pool",
     "Results": "results",
-    "execute": "execution",
+    **dict.fromkeys(["execute", "open_site"], "execution"),
 }
 
 

@@ -138,3 +138,10 @@ def test_published_rows_agree_with_the_paper_s_own_averages():
     assert averages == pytest.approx({"psnr": 35.94, "ssim": 0.959, "lpips": 0.072, "fps": 29.97}, abs=6e-3)
     assert rows["SGS-SLAM"].average("psnr") == 34.66 and rows["SemGauss-SLAM"].average("fps") is None
     assert rows["GS-SLAM"].values["fps"] == {"room0": 8.34}
+
+
+def test_public_names_are_there():
+    import ggwarp.suite
+
+    for name in ggwarp.suite.__all__:
+        assert getattr(ggwarp.suite, name) is not None
