@@ -21,6 +21,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import ggwarp
 from ggwarp.datasets import is_there
 from ggwarp.io.guarded import FileError
 from ggwarp.io.lock import exclusive, in_use
@@ -48,6 +49,7 @@ class Site:
         data: data root.
         device: of the runs, as ``--device`` has it.
         command: what a run's arguments are appended to; None: ``ggwarp run`` by :mod:`ggwarp.suite.child`.
+        version: of ggwarp, which all machines must have.
     """
 
     folder: Path
@@ -55,6 +57,7 @@ class Site:
     data: Path
     device: str = "auto"
     command: tuple[str, ...] | None = None
+    version: str = ggwarp.__version__
 
     def run_folder(self, job: Job) -> Path:
         return self.folder / "runs" / job.name
@@ -70,11 +73,16 @@ class Site:
         return ("--seq", job.seq, "--device", self.device, *job.arguments)
 
     def check(self) -> None:
-        """Refuse a machine that does not see the suite's folder.
+        """Refuse a machine that does not see the suite's folder, or has another ggwarp.
 
         Raises:
-            OSError: it does not.
+            OSError: it is such a machine.
         """
+        if self.version != ggwarp.__version__:
+            raise OSError(
+                f"{socket.gethostname()} has ggwarp {ggwarp.__version__}, the suite was started with "
+                f"{self.version}; install the same on all machines"
+            )
         file = self.folder / ".suite"
         if not file.is_file() or file.read_text() != self.mark:
             raise OSError(
@@ -88,6 +96,8 @@ def known_record(site: Site, job: Job) -> JobRecord:
     record = read_record(site.record(job))
     if record is None or record.command != site.options(job):
         return JobRecord(site.options(job))
+    if record.status == "done" and not (site.run_folder(job) / "metrics.json").is_file():
+        return JobRecord(site.options(job))  # somebody has removed it
     return record
 
 

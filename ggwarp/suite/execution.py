@@ -5,12 +5,14 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import os
 import secrets
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from ggwarp.console import Display
+from ggwarp.io.lock import lock_folder
 from ggwarp.suite.attempts import Site, attempt, known_record
 from ggwarp.suite.definition import Suite, SuiteError
 from ggwarp.suite.job import Attempt, Job, JobRecord
@@ -60,8 +62,31 @@ def execute(
         save: called with the results now and then, and at the end, also of a suite that is stopped.
 
     Raises:
-        OSError: the suite's folder cannot be written to.
+        SuiteError: another program is at work in the suite's folder.
+        OSError: it cannot be written to.
     """
+    with _alone_in(site.folder):
+        return _execute(suite, site, pool, display, save, tries)
+
+
+@contextlib.contextmanager
+def _alone_in(folder: Path) -> Iterator[None]:
+    try:
+        lock = lock_folder(folder)
+    except OSError:
+        raise SuiteError(
+            f"{folder}: another ggwarp suite is at work there; wait for it, or stop it"
+        ) from None
+    try:
+        yield
+    finally:
+        if lock is not None:
+            os.close(lock)
+
+
+def _execute(
+    suite: Suite, site: Site, pool: Pool, display: Display, save: Callable[[Results], None], tries: int
+) -> Results:
     records = {job: known_record(site, job) for job in suite.jobs()}
     waiting = [job for job, record in records.items() if record.status != "done"]
     before = len(records) - len(waiting)

@@ -2,9 +2,11 @@
 """A suite is whole whatever its runs do: killed, refused, broken, stopped, changed, without data."""
 
 import contextlib
+import dataclasses
 import json
 import logging
 import os
+import shutil
 import threading
 import time
 
@@ -186,3 +188,29 @@ def test_a_machine_that_does_not_see_the_folder_says_so(site, suite_of, run):
     (site.folder / ".suite").write_text("another")
     [one, _] = run(suite_of("room0")).runs
     assert one.status == "failed" and "does not see this folder; give --out on storage" in one.reason
+
+
+def test_a_machine_with_another_version_says_so(site, suite_of, run):
+    site = dataclasses.replace(site, version="0.0.1")
+    display = open_display(Verbosity.QUIET)
+    [one, _] = execute(suite_of("room0"), site, LocalPool(TWO, most=1), display).runs
+    assert "the suite was started with 0.0.1; install the same on all machines" in one.reason
+
+
+def test_two_suites_in_one_folder_are_refused(site, suite_of, run):
+    lock = lock_folder(site.folder)
+    assert lock is not None
+    with pytest.raises(SuiteError, match="another ggwarp suite is at work there; wait for it, or stop it"):
+        run(suite_of("room0"))
+    os.close(lock)
+    assert run(suite_of("room0")).count("done") == 2
+
+
+def test_a_run_that_somebody_removed_is_done_again(site, suite_of, run):
+    suite = suite_of("room0")
+    run(suite)
+    shutil.rmtree(site.folder / "runs/room0/slow/seed-0")
+    assert known_record(site, suite.jobs()[0]).status == "not run"
+    assert run(suite).count("done") == 2 and tries(site, suite) == {
+        "room0/slow/seed-0": 1, "room0/quick/seed-0": 1
+    }  # fmt: skip
