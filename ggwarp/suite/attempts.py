@@ -161,7 +161,8 @@ def fetch(site: Site, job: Job) -> str:
             return ""
         part = target.with_name(f".{target.name}.{os.getpid()}.part")
         part.mkdir(parents=True)
-        words = [word.format(seq=job.seq, folder=part) for word in shlex.split(job.fetch)]
+        filled = [word.replace("{seq}", job.seq) for word in shlex.split(job.fetch)]
+        words = [word.replace("{folder}", str(part)) for word in filled]
         try:
             done = subprocess.run(words, capture_output=True, text=True, errors="replace", check=False)
             if done.returncode == 0 and any(part.iterdir()):

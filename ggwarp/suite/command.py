@@ -91,6 +91,8 @@ def _main(options: argparse.Namespace) -> int:
     suite.check()
     if options.jobs is not None and options.jobs < 1:
         raise SuiteError(f"--jobs {options.jobs}: give 1 or more")
+    if options.ray is not None and options.device.startswith("cuda"):
+        raise SuiteError(f"--device {options.device}: Ray hands out GPUs; leave it at auto, or give cpu")
     earlier = None if options.compare is None else load_results(options.compare)
     folder = options.out or Path("suites") / suite.name
     data = options.data or Path(os.environ.get("GGWARP_DATA") or "data")
@@ -99,7 +101,8 @@ def _main(options: argparse.Namespace) -> int:
         return _list(suite, site)
     suite = dataclasses.replace(suite, resources=_resources(suite, options))
     display = open_display(Verbosity.NORMAL)
-    pool = open_pool(suite.resources, address=options.ray, most=options.jobs)
+    one_gpu = 1 if options.device.startswith("cuda") else None
+    pool = open_pool(suite.resources, address=options.ray, most=options.jobs or one_gpu)
     save = functools.partial(write_files, folder=folder)
     results = execute(suite, site, pool, display, save=save)
     comparison = None
@@ -117,9 +120,9 @@ def _main(options: argparse.Namespace) -> int:
 
 
 def _resources(suite: Suite, options: argparse.Namespace) -> Resources:
-    """Return what one run is given: no GPU where it wants none, all cores where speeds decide."""
+    """Return what one run is given: all cores where speeds decide; no GPU where the user says which."""
     found = suite.resources
-    if options.device == "cpu":
+    if options.device != "auto":
         found = dataclasses.replace(found, gpus=0.0)
     if suite.choice is not None and options.ray is None:
         found = dataclasses.replace(found, cpus=cores())

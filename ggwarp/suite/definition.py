@@ -6,6 +6,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+import shlex
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -297,6 +298,10 @@ def _fetch(values: Mapping[str, Any]) -> str:
     command = _typed(values, "fetch", str, "")
     if command and "{folder}" not in command:
         raise SuiteError(f"fetch = {shown(command)}: say with {{folder}} where the sequence shall go")
+    try:
+        shlex.split(command)
+    except ValueError as error:
+        raise SuiteError(f"fetch = {shown(command)}: {error}; it is split in words as a shell does") from None
     return command
 
 

@@ -111,6 +111,9 @@ def _execute(
             waiting = [job for job in waiting if _tried_in_vain(records[job])]
     finally:
         display.close()
+        # Of those that go on when the suite is stopped, some may yet be done.
+        begun = [job for job in waiting if not records[job].attempts and not records[job].obstacle]
+        records |= {job: known_record(site, job) for job in begun}
         results = gather(suite, site, records)
         save(results)
     return results

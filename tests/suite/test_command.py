@@ -96,6 +96,7 @@ def test_the_fastest_that_is_good_enough_becomes_a_configuration(typed, capsys):
     ("words", "says"),
     [
         (["--out", "data"], "--out data: holds other files and no suite; name a new folder"),
+        (["--ray", "auto", "--device", "cuda:1"], "--device cuda:1: Ray hands out GPUs; leave it at auto"),
         (["--jobs", "0"], "--jobs 0: give 1 or more"),
         (["--within", "-1"], "within -1 dB: give a number of dB, 0 or more"),
         (["--compare", "nowhere"], "nowhere: cannot be read"),

@@ -107,6 +107,7 @@ def test_shipped_suites_are_the_papers():
         (BASE | {"resources": {"cpu": 1}}, "unknown key 'resources.cpu'; known here: cpus, gpus, memory_gb"),
         (BASE | {"resources": {"cpus": 0}}, "[resources]: cpus must be 1 or more"),
         (BASE | {"fetch": "cp a b"}, "say with {folder} where the sequence shall go"),
+        (BASE | {"fetch": "cp 'a {folder}"}, "No closing quotation; it is split in words as a shell does"),
         (BASE | {"choice": {"within_db": -1.0}}, "within -1 dB: give a number of dB, 0 or more"),
         (BASE | {"published": "gg-slm"}, "no such rows (did you mean gg-slam?)"),
         ({"sequences": ["a"] * 2000, "grid": {"mapper.iterations": [*range(1000)]}}, "has 2,000,000 runs"),
