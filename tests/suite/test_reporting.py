@@ -14,6 +14,7 @@ from ggwarp.suite.definition import Choice, SuiteError, load_suite
 from ggwarp.suite.reporting.comparison import compare, sign_flip_p
 from ggwarp.suite.reporting.files import write_files
 from ggwarp.suite.reporting.page import page
+from ggwarp.suite.reporting.published import load_published
 from ggwarp.suite.reporting.rows import number
 from ggwarp.suite.reporting.writers import latex, markdown
 from ggwarp.suite.results import Results, RunResult, load_results
@@ -62,9 +63,16 @@ def test_rows_are_the_paper_s(results: Results):
     assert cells(text, "ggwarp, @30", "SSIM") == [".941", ".957", ".949"]
     assert cells(text, "ggwarp, @30", "FPS") == ["29.97", "-", "-"], "no average of a part"
     assert cells(text, "ggwarp, @10", "PSNR") == ["failed", "not run", "-"]
-    assert cells(text, "GG-SLAM, limited to 30 FPS", "PSNR") == ["32.77", "35.24", "35.94"]
-    assert cells(text, "SGS-SLAM", "SSIM") == ["-", "-", ".973"]
+    assert cells(text, "GG-SLAM, limited to 30 FPS", "PSNR") == ["32.77", "35.24", "34.01"], "of these two"
+    assert "SGS-SLAM" not in text, "it prints an average of all eight alone"
     assert "GG-SLAM, table 1" in text and "2 of 4 runs are done" in text
+
+
+def test_averages_alone_are_shown_beside_the_whole_table():
+    eight = load_published("gg-slam").rows[0].sequences
+    text = markdown(results_of(*(run(s, "@30", psnr=30.0) for s in eight), published="gg-slam"))
+    assert cells(text, "SGS-SLAM", "PSNR") == ["-"] * 8 + ["34.66"]
+    assert cells(text, "GG-SLAM, limited to 30 FPS", "PSNR")[-1] == "35.94"
 
 
 def test_no_published_rows_beside_other_sequences(results: Results):

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 import statistics
+from collections.abc import Collection
 from dataclasses import dataclass
 
 from ggwarp.io.toml import read_toml
@@ -20,17 +21,21 @@ class PublishedRow:
         table: number of the table.
         values: figure -> sequence -> value.
         averages: figure -> what is printed as the average, where no sequence is.
+        sequences: of the whole table.
     """
 
     system: str
     table: int
     values: dict[str, dict[str, float]]
     averages: dict[str, float]
+    sequences: tuple[str, ...]
 
-    def average(self, metric: str) -> float | None:
-        """Return the average over sequences; None: neither it nor every sequence is printed."""
+    def average(self, metric: str, over: Collection[str]) -> float | None:
+        """Return the average over those sequences; None: they are not all printed."""
+        if metric in self.averages:
+            return self.averages[metric] if set(over) == set(self.sequences) else None
         values = self.values.get(metric, {})
-        return self.averages.get(metric, statistics.fmean(values.values()) if values else None)
+        return statistics.fmean(values[s] for s in over) if values.keys() >= set(over) else None
 
 
 @dataclass(frozen=True)
@@ -62,5 +67,5 @@ def load_published(name: str) -> Published:
             metric: {s: v for s, v in zip(sequences, listed, strict=True) if not math.isnan(v)}
             for metric, listed in figures.items()
         }
-        rows.append(PublishedRow(row["system"], row["table"], by_sequence, averages))
+        rows.append(PublishedRow(row["system"], row["table"], by_sequence, averages, tuple(sequences)))
     return Published(values["title"], values["source"], tuple(rows))

@@ -97,8 +97,9 @@ def paper_rows(results: Results) -> list[Row]:
         for found in published.rows:
             source = f"{published.title}, table {found.table}"
             for metric in results.metrics:
-                values, average = found.values.get(metric, {}), found.average(metric)
-                if average is None or (values and values.keys().isdisjoint(results.sequences)):
+                values = found.values.get(metric, {})
+                average = found.average(metric, results.sequences)
+                if average is None and values.keys().isdisjoint(results.sequences):
                     continue
                 cells = [_published(values.get(sequence)) for sequence in results.sequences]
                 rows.append(Row(found.system, metric, tuple(cells), _published(average), source))
