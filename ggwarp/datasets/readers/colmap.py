@@ -2,8 +2,9 @@
 """A COLMAP reconstruction: ``images/`` and ``sparse/0/``, ``sparse/`` or the folder itself with the model.
 
 The model is ``cameras`` and ``images``, ``.bin`` or ``.txt``: world-to-camera, quaternion w first, the
-centre of the first pixel at (0.5, 0.5). Depth, if any, is in ``depth/`` by the images' names, millimetres at
-the model's scale. Poses are truth as good as structure from motion found them.
+centre of the first pixel at (0.5, 0.5). Depth, if any, is in ``depth/`` by the images' names, of their own
+pixels, bent as they are, millimetres at the model's scale. Poses are truth as good as structure from motion
+found them.
 """
 
 from __future__ import annotations
@@ -106,7 +107,7 @@ def open_sequence(path: Path, masks: Masks = None) -> FileSequence:
         else depth_elsewhere(unread, "depth is read from depth/, by the images' names"),
         unread=unread,
     )
-    calibration = Calibration(typical, 1000.0, distortion)
+    calibration = Calibration(typical, 1000.0, distortion, depth_distorted=True)
     return FileSequence(path, "colmap", entries, calibration, masks=masks, source=source)
 
 

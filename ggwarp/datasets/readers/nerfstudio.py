@@ -4,8 +4,8 @@
 ``w h fl_x fl_y cx cy k1 k2 p1 p2`` for all frames or for each, ``frames`` with ``file_path``,
 ``transform_matrix`` (camera-to-world, OpenGL's axes) and, where there is depth, ``depth_file_path``
 (nerfstudio: millimetres) or ``depth_path`` (NeRFCapture: units of ``integer_depth_scale`` metres). The
-centre of the first pixel is (0.5, 0.5) there. Poses are what structure from motion found: truth as good as
-that, at its scale.
+centre of the first pixel is (0.5, 0.5) there. Depth is of the picture's own pixels, bent as they are. Poses
+are what structure from motion found: truth as good as that, at its scale.
 """
 
 from __future__ import annotations
@@ -82,7 +82,8 @@ def open_sequence(path: Path, masks: Masks = None) -> FileSequence:
                 camera=camera,
             )
         )
-    calibration = Calibration(typical_camera(cameras), scale, distortion if any(distortion) else ())
+    bent = distortion if any(distortion) else ()
+    calibration = Calibration(typical_camera(cameras), scale, bent, depth_distorted=True)
     read = {
         path / entry.relative_to(path).parts[0] for entry in _files(entries) if entry.is_relative_to(path)
     }

@@ -4,6 +4,7 @@
 import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -161,6 +162,28 @@ def test_lenses_of_colmap_that_bend(tmp_path: Path) -> None:
     dataset = opened(tmp_path)
     assert dataset.camera == Camera(80, 60, COLOUR.fx, COLOUR.fx, 40.0, 30.0)
     assert not np.array_equal(dataset[0].rgb, look(COLOUR, pose(0))[0])
+
+
+@pytest.mark.parametrize("layout", ["nerfstudio", "colmap"])
+def test_depth_of_a_pictures_own_pixels_is_straightened_with_it(tmp_path: Path, layout: str) -> None:
+    K, lens = COLOUR.matrix, np.array([0.15, 0.0, 0.0, 0.0])
+    grid = np.stack(np.meshgrid(np.arange(80.0), np.arange(60.0)), -1).astype(np.float32)
+    maps = cv2.undistortPoints(grid.reshape(-1, 1, 2), K, lens, P=K).reshape(60, 80, 2)
+    nerfstudio(tmp_path) if layout == "nerfstudio" else colmap(tmp_path, binary=False)
+    for file in tmp_path.rglob("*.png"):
+        image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+        assert cv2.imwrite(str(file), cv2.remap(image, maps, None, cv2.INTER_NEAREST))
+    if layout == "nerfstudio":
+        values = json.loads((tmp_path / "transforms.json").read_text())
+        write(tmp_path / "transforms.json", json.dumps(values | {"k1": 0.15}))
+    else:
+        p = [COLOUR.fx, COLOUR.fy, COLOUR.cx + 0.5, COLOUR.cy + 0.5, *lens]
+        write(tmp_path / "sparse/cameras.txt", "5 OPENCV 80 60 " + " ".join(map(str, p)))
+    frame, want = opened(tmp_path)[0], look(COLOUR, pose(0))
+    assert frame.depth is not None
+    seen = frame.depth > 0
+    assert seen.mean() > 0.7 and np.mean(np.abs(frame.depth - want[1])[seen] < 0.03) > 0.9
+    assert np.median(np.abs(frame.rgb.astype(float) - want[0])[seen]) < 8
 
 
 def test_nerfstudio_refuses_fisheye_by_name(tmp_path: Path) -> None:
