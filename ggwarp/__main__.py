@@ -15,6 +15,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "run": ("ggwarp.run", "follow a recording's camera, and learn a map of its room"),
     "view": ("ggwarp.viewer.__main__", "look at a run in the browser, and edit its objects there"),
     "objects": ("ggwarp.editing.__main__", "list, show, remove, move, paint and name a run's objects"),
+    "report": ("ggwarp.report.__main__", "write a run's page anew, or one that compares several runs"),
     "export": (
         "ggwarp.export.__main__",
         "write a run's map or objects for other programs: splats, meshes, ...",

@@ -13,13 +13,15 @@ from typing import Any
 
 from ggwarp import messages
 from ggwarp.console import Display
+from ggwarp.report.gallery import Gallery
+from ggwarp.report.page import write_report
 from ggwarp.results import run_folder
 from ggwarp.results.checkpoints import FOLDER
 from ggwarp.results.metrics import metrics_of
 from ggwarp.results.record import RunRecord
 from ggwarp.results.renders import RenderWriter
 from ggwarp.results.staging import StagedFolder
-from ggwarp.types import Float32, Rendered
+from ggwarp.types import Float32, Frame, Rendered
 
 _NEEDED = {"saving the trajectory", "saving the map"}
 """Without these there is nothing to keep."""
@@ -74,6 +76,11 @@ class Saver:
     def table_bytes(self) -> int:
         """Bytes of the tables and metrics, as they were saved last."""
         return sum((self.folder / name).stat().st_size for name in _TABLES if (self.folder / name).is_file())
+
+    @property
+    def record(self) -> RunRecord:
+        """What the run has gathered."""
+        return self._record
 
     @property
     def where(self) -> str:
@@ -203,6 +210,11 @@ class Saver:
         self.attempt("saving the table of objects", lambda: run_folder.write_object_scores(folder, record))
         self.attempt("saving the metrics", self._save_metrics)  # last: they tell what has failed
 
+    def write_report(self) -> None:
+        """Write ``report.html`` from what is saved."""
+        if not self._missing >= _NEEDED:
+            self.attempt("writing the report", lambda: write_report(self.folder))
+
     def attempt(self, what: str, work: Callable[[], None]) -> bool:
         """Do a part of the run that may fail alone; return whether it succeeded."""
         try:
@@ -236,6 +248,7 @@ class Saver:
 
     def _save_metrics(self) -> None:
         wall_s = time.perf_counter() - self._started
+        self._record.interrupted = self._stopped()
         self.metrics = metrics_of(self._record, wall_s=wall_s, gaussians=self._gaussians)
         run_folder.write_metrics(self._folder.path, self.metrics)
 
@@ -243,19 +256,30 @@ class Saver:
 class ViewSaver:
     """Writes the views of some frames as pictures; where that fails it is said, and no more are written."""
 
-    def __init__(self, saver: Saver, indices: set[int], identities: Callable[[], Float32 | None]) -> None:
-        """``indices``: of the frames; ``identities``: gives the map's, [n, 16], for the features' basis."""
-        self._saver, self._indices, self._identities = saver, indices, identities
+    def __init__(self, saver: Saver, every: int | None, identities: Callable[[], Float32 | None]) -> None:
+        """Prepare to be given views.
+
+        Args:
+            every: so many of the run's frames have renders; None or 0: none has.
+            identities: gives the map's, [n, 16], for the features' basis.
+        """
+        indices = [r.index for r in saver.record.reports]
+        self._saver, self._identities = saver, identities
+        self._rendered = set(indices[::every]) if every else set()
+        self._gallery = Gallery(indices)
         self._writer: RenderWriter | None = None
 
-    def save(self, index: int, view: Rendered) -> None:
-        """Write the view of frame ``index``, if it is one of them."""
-        if index in self._indices and not self._saver.attempt(
-            "saving renders", lambda: self._write(index, view)
+    def save(self, frame: Frame, view: Rendered, psnr: float | None) -> None:
+        """Write the view of ``frame``, if it is one of those; keep what people may want to look at."""
+        self._gallery.add(frame, view, psnr)
+        if frame.index in self._rendered and not self._saver.attempt(
+            "saving renders", lambda: self._write(frame.index, view)
         ):
-            self._indices = set()
-            if self._writer is not None:  # the figures that are still to come go before pictures
-                self._writer.make_room(_ROOM_FOR_TABLES + 2 * self._saver.table_bytes)
+            self._rendered = set()
+
+    def finish(self) -> None:
+        """Write what was kept."""
+        self._saver.attempt("saving pictures", lambda: self._gallery.write(self._saver.folder))
 
     def _write(self, index: int, view: Rendered) -> None:
         if self._writer is None:

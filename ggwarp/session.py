@@ -29,7 +29,7 @@ from ggwarp.pipeline.runner import SideError, Snapshot, run_steps
 from ggwarp.pipeline.tracked_frame import TrackedFrame
 from ggwarp.preparation import build_system, load_kernels, works_concurrently
 from ggwarp.results.checkpoints import kept_in
-from ggwarp.results.metrics import RESULTS
+from ggwarp.results.metrics import measured
 from ggwarp.results.record import RunRecord
 from ggwarp.results.staging import StagedFolder
 from ggwarp.runtime import loading
@@ -95,6 +95,7 @@ class Session:
                     self._display.warn(kept_in(kept))
             raise
         self.evaluate()
+        self._saver.write_report()
         return self.show()
 
     def open(self) -> None:
@@ -271,7 +272,7 @@ class Session:
         if self._stopped:
             display.conclude(f"interrupted after {share}; saved in {where}")
             return self._interruption.exit_code
-        display.results(self._saver.metrics, RESULTS)
+        display.results(self._saver.metrics, measured(self._saver.metrics))
         self._saver.warn_of_truth()
         display.conclude(self._saver.outcome)
         return FAILED if record.failures else DONE
@@ -282,13 +283,12 @@ class Session:
         write_camera(folder / "camera.json", self._reader.camera)
 
     def _compare(self) -> None:
-        record, every = self.record, self.config.save_renders
-        saved = {r.index for r in record.reports[::every]} if every else set()
-        views = ViewSaver(self._saver, saved, lambda: self._slam.map_arrays().identities)
+        record, identities = self.record, lambda: self._slam.map_arrays().identities
+        views = ViewSaver(self._saver, self.config.save_renders, identities)
 
         def on_view(frame: Frame, view: Rendered, score: FrameScore) -> None:
             self._display.advance()
-            views.save(frame.index, view)
+            views.save(frame, view, score.psnr)
 
         evaluation = compare(
             itertools.takewhile(lambda _: not self._stopped, self._kept.again(record.poses())),
@@ -299,6 +299,7 @@ class Session:
             lpips=open_lpips(),
             on_view=on_view,
         )
+        views.finish()
         if not self._stopped:
             record.evaluation = evaluation
 

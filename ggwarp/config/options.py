@@ -57,6 +57,22 @@ def run_options() -> list[Option]:
     return _options(RunConfig(), "")
 
 
+def changed_options(config: RunConfig) -> list[tuple[str, str, str]]:
+    """Return flag, value and default of the options in which ``config`` differs from the defaults.
+
+    Those of its preset are its defaults; where results and recordings lie is no option of a run.
+    """
+    from ggwarp.config.presets import preset_config
+
+    defaults = {option.flag: option.default for option in _options(preset_config(config.preset), "")}
+    found = [(o.flag, o.default, defaults.get(o.flag, "")) for o in _options(config, "")]
+    return [
+        (flag, value, default)
+        for flag, value, default in found
+        if value != default and flag not in ("--seq", "--data", "--out")
+    ]
+
+
 def _command_options() -> list[Option]:
     """Return what the command takes beside them: where a run starts from, and how it is kept."""
     from ggwarp.config.command_line import Command

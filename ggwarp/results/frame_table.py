@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``frames.csv`` read back."""
+"""``frames.csv`` and its like read back."""
 
 from __future__ import annotations
 
@@ -46,13 +46,13 @@ class FrameTable:
         return [int(value) if math.isfinite(value) else -1 for value in self.numbers("index")]
 
 
-def read_frames(folder: Path) -> FrameTable:
-    """Read ``frames.csv`` of the run in ``folder``; no rows where there is none.
+def read_frames(folder: Path, name: str = "frames.csv") -> FrameTable:
+    """Read the table ``name`` of the run in ``folder``; no rows where there is none.
 
     Raises:
         FileError: it cannot be read.
     """
-    path = folder / "frames.csv"
+    path = folder / name
     if not path.is_file():
         return FrameTable([])
     with open_file(path, LIST) as file:

@@ -4,12 +4,15 @@
 from __future__ import annotations
 
 import contextlib
+import importlib.metadata
+import platform
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+import ggwarp
 from ggwarp.evaluation.conventions import doubt_of_truth
 from ggwarp.evaluation.evaluate import Scores
 from ggwarp.evaluation.trajectory import TrajectoryError, absolute_error, relative_error, to_scale
@@ -70,7 +73,10 @@ RESULTS = {
     ],
     "time and memory": ["refine_s", "wall_s", "peak_memory_mb"],
 }
-"""What the closing table shows, and in which order."""
+"""The figures by what they are about, and in which order they are shown."""
+
+HEADLINE = ("ate_rmse_cm", "psnr", "fps", "frames_lost", "objects_found")
+"""What is asked first."""
 
 _IMAGE_FIGURES = (
     *("psnr", "psnr_exposed", "ssim", "lpips", "depth_l1_cm"),
@@ -130,9 +136,30 @@ def metrics_of(record: RunRecord, *, wall_s: float, gaussians: int | None) -> di
         "loops_closed": record.counts.get("loops_closed", 0),
         "frames_skipped": len(record.skipped),
         "peak_memory_mb": peak_memory_mb(),
+        "interrupted": record.interrupted,
         "failures": list(record.failures),
+        "versions": versions(),
         "plan": record.plan or None,
     }
+
+
+def measured(metrics: Mapping[str, Any]) -> dict[str, list[str]]:
+    """Return what the closing table shows: of :data:`RESULTS` what was measured, the headline last."""
+    groups = {
+        title: [key for key in keys if metrics.get(key) is not None and key not in HEADLINE]
+        for title, keys in RESULTS.items()
+    }
+    groups["headline"] = [key for key in HEADLINE if metrics.get(key) is not None]
+    return {title: keys for title, keys in groups.items() if keys}
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of what computes, and the machine's kind."""
+    found = {"ggwarp": ggwarp.__version__, "Python": platform.python_version()}
+    for package in ("warp-lang", "numpy", "torch", "opencv-python-headless"):
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            found[package] = importlib.metadata.version(package)
+    return found | {"system": f"{platform.system()} {platform.machine()}"}
 
 
 def peak_memory_mb() -> float | None:

@@ -25,6 +25,7 @@ class RunRecord:
         class_names: mask id -> what the object is, where the data says.
         loop_s: seconds from the first frame's arrival to the last one's end.
         refine_iterations, refine_s: spent on the map after the last frame.
+        interrupted: whether a signal ended the run before its frames or its comparison were done.
         failure: what ended the run early; None: nothing did.
         failures: one line for each part of the run that failed, ``failure`` included, in order.
         plan: how the sequence was read, as ``metrics.json`` has it.
@@ -44,6 +45,7 @@ class RunRecord:
     loop_s: float = 0.0
     refine_iterations: int = 0
     refine_s: float = 0.0
+    interrupted: bool = False
     failure: Exception | None = None
     failures: list[str] = field(default_factory=list)
     plan: dict[str, Any] = field(default_factory=dict)

@@ -42,6 +42,7 @@ OUTPUTS = (
     "metrics.json",
     "frames.csv",
     "object_scores.csv",
+    "report.html",
 )
 """The files of a run folder, renders aside."""
 

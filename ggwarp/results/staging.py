@@ -25,8 +25,8 @@ from ggwarp.io.mounts import is_mount
 from ggwarp.results.checkpoints import FOLDER, is_superseded, is_worth_keeping, put_apart, target_of
 from ggwarp.results.run_folder import OUTPUTS
 
-_FOLDERS = ("renders", FOLDER)
-_RENDER = re.compile(r"frame\d+_\w+\.png")
+_FOLDERS = ("renders", "pictures", FOLDER)
+_PICTURE = re.compile(r"renders/frame\d+_\w+\.png|pictures/(frame\d+_\w+|object\d+)\.jpg")
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # of Linux's renameat2
 
 
@@ -288,9 +288,7 @@ def _is_output(path: Path) -> bool:
     """Return whether ``path``, relative to a run folder, is what a run writes."""
     if path.parts[0] == FOLDER:
         return len(path.parts) == 2 and path.suffix == ".safetensors"
-    if path.parts[0] == "renders":
-        return len(path.parts) == 2 and _RENDER.fullmatch(path.name) is not None
-    return str(path) in OUTPUTS
+    return str(path) in OUTPUTS or _PICTURE.fullmatch(path.as_posix()) is not None
 
 
 def _carry_over(old: Path, new: Path) -> None:

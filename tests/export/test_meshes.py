@@ -12,7 +12,7 @@ from ggwarp.export.__main__ import main
 from ggwarp.export.tsdf import TsdfVolume
 from ggwarp.geometry.camera import Camera
 from ggwarp.geometry.upright import rotation_to
-from glb_reader import read_accessor, read_glb
+from small_run import read_accessor, read_glb
 
 CAMERA = Camera(120, 90, 90.0, 90.0, 59.5, 44.5)
 R_Z_UP = rotation_to("z-up", np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0]))

@@ -19,8 +19,7 @@ from ggwarp.export.__main__ import main
 from ggwarp.geometry.upright import rotation_to
 from ggwarp.io.ply import read_ply
 from ggwarp.map.gaussians import Gaussians
-from glb_reader import read_accessor, read_glb
-from small_run import CAMERA, decibels
+from small_run import CAMERA, decibels, read_accessor, read_glb
 
 UP, AHEAD = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0])
 

@@ -3,15 +3,19 @@
 
 from __future__ import annotations
 
+import re
 import shutil
+import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 _SOFTWARE_WEBGL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+_CONSOLE = re.compile(r"CONSOLE[^\]]*\]\s*(.*)")
 _PATIENCE = 120_000.0  # milliseconds: a busy machine draws a picture of WebGL in many seconds
 
 
@@ -37,3 +41,22 @@ def open_browser(width: int = 1280, height: int = 800) -> Iterator[Any]:
             yield page
         finally:
             browser.close()
+
+
+def opened(page: Path, folder: Path) -> tuple[str, list[str]]:
+    """Return the document after its scripts have run, and the console's lines; by the browser alone.
+
+    Args:
+        page: a file.
+        folder: for the browser's own files.
+    """
+    options = [
+        *("--headless=new", "--no-sandbox", "--disable-gpu", "--no-first-run", "--enable-logging=stderr"),
+        *("--disable-background-networking", "--allow-file-access-from-files", "--virtual-time-budget=4000"),
+        *(f"--user-data-dir={folder}", "--dump-dom"),
+    ]
+    done = subprocess.run(
+        [find_browser(), *options, page.as_uri()], capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout, _CONSOLE.findall(done.stderr)

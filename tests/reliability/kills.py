@@ -50,7 +50,7 @@ OLDER = [
     *("--seq", "office", "--device", "cpu", "--scale", "0.06", "--frames", "0:2", "-q"),
     *("--save-renders", "0"),
 ]
-COMPARED = tuple(sorted({*OUTPUTS} - {"metrics.json", "frames.csv"}))
+COMPARED = tuple(sorted({*OUTPUTS} - {"metrics.json", "frames.csv", "report.html"}))
 NOT_COMPARED = {
     *("fps", "wall_s", "tracking_ms", "mapping_ms", "refine_s", "peak_memory_mb"),
     *("latency_ms_p50", "latency_ms_p95", "loop_ms"),

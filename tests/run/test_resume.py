@@ -63,7 +63,7 @@ def figures(folder: Path) -> dict[str, object]:
 
 
 def assert_same(one: Path, other: Path) -> None:
-    for name in {*OUTPUTS} - {"metrics.json", "frames.csv"}:
+    for name in {*OUTPUTS} - {"metrics.json", "frames.csv", "report.html"}:
         assert (one / name).read_bytes() == (other / name).read_bytes(), name
     assert figures(one) == figures(other)
 
@@ -215,7 +215,7 @@ def test_what_cannot_change_is_refused_by_name(copied: Path, capsys, options: st
 
 def test_all_of_the_record_is_kept_or_follows() -> None:
     of_the_start = {"sequence", "dataset", "device", "monocular", "class_names", "plan"}
-    of_the_end = {"live", "counts", "failure", "failures", "evaluation"}
+    of_the_end = {"live", "counts", "failure", "failures", "interrupted", "evaluation"}
     names = {field.name for field in dataclasses.fields(RunRecord)}
     assert names == {*KEPT_OF_THE_RECORD, "reports"} | of_the_start | of_the_end
 

@@ -21,6 +21,7 @@ from ggwarp.datasets.kept_frames import KeptFrames
 from ggwarp.geometry.camera import Camera
 from ggwarp.io.ply import read_ply
 from ggwarp.io.trajectory import read_tum
+from ggwarp.report.gallery import KINDS
 from ggwarp.results import run_folder
 from ggwarp.results.saved_run import load_run
 from ggwarp.types import Frame
@@ -35,7 +36,9 @@ def test_a_run_leaves_its_folder(scene, fake, tmp_path, capsys):
     pictures = {
         f"renders/frame{i:06d}_{w}.png" for i in (0, 4) for w in ("rgb", "depth", "objects", "features")
     }
-    assert files == pictures | set(run_folder.OUTPUTS)
+    # What people look at: the first frames that they are spread over, and object 4.
+    seen = {f"pictures/frame{i:06d}_{w}.jpg" for i in range(6) for w in KINDS} | {"pictures/object000004.jpg"}
+    assert files == pictures | seen | set(run_folder.OUTPUTS)
     metrics = json.loads((folder / "metrics.json").read_text())
     assert metrics["sequence"] == "room9" and metrics["dataset"] == "replica" and metrics["device"] == "cpu"
     assert metrics["frames"] == FRAMES and metrics["heldout_frames"] == FRAMES - 2
