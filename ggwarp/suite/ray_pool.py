@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import socket
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
@@ -16,6 +17,7 @@ R = TypeVar("R")
 
 _WINDOW = 2000  # tasks that Ray holds at a time
 _MOST_LOST = 5  # times that a task's machine may be lost
+_ANSWER = 10.0  # seconds in which a head answers
 
 
 class RayPool:
@@ -41,8 +43,9 @@ class RayPool:
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
         if not ray.is_initialized():
             try:
+                _check_answers(address)
                 ray.init(address=address, log_to_driver=False, logging_level="error")
-            except (ConnectionError, RuntimeError, ValueError) as error:
+            except (OSError, RuntimeError, ValueError) as error:
                 reason = str(error).splitlines()[0]
                 raise SuiteError(
                     f"--ray {address}: no such cluster ({reason}); ray start --head begins one here"
@@ -110,6 +113,18 @@ def _task(work: Callable[[T, Place], R], task: T) -> R:
 
 def _holds(machine: dict[str, float], asked: dict[str, float]) -> bool:
     return all(machine.get(name, 0.0) >= amount for name, amount in asked.items())
+
+
+def _check_answers(address: str) -> None:
+    """Refuse a head that does not answer; Ray would wait for it for minutes.
+
+    Raises:
+        OSError: it does not.
+        ValueError: HOST:PORT has no such port.
+    """
+    host, colon, port = address.removeprefix("ray://").rpartition(":")
+    if colon:
+        socket.create_connection((host, int(port)), timeout=_ANSWER).close()
 
 
 def _imported() -> Any:

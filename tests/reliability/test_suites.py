@@ -33,9 +33,9 @@ def whole(campaign: bool) -> None:
 
 @pytest.fixture(scope="module")
 def suite() -> Suite:
-    """Built-in, with half the frames, and a recording that is none."""
+    """Built-in, with few frames, and a recording that is none."""
     found = load_suite("built-in")
-    options = found.options | {"frames": "0:10", "checkpoint-every": "2"}
+    options = found.options | {"frames": "0:5", "checkpoint-every": "1"}
     sequences = (*found.sequences, Sequence("refused", "refused"))
     return dataclasses.replace(found, options=options, sequences=sequences)
 

@@ -5,6 +5,7 @@ import contextlib
 import logging
 import os
 import signal
+import socket
 import threading
 import time
 
@@ -139,7 +140,19 @@ def test_gpus_are_handed_out(monkeypatch):
     assert gpu_places([], 1.0) == []
 
 
-def test_a_cluster_that_is_none_or_too_small_is_one_line(ray_pool, cluster):
+def test_a_head_that_does_not_answer_is_one_line():
+    pytest.importorskip("ray", reason="the extra cluster is not installed")
+    import ray
+
+    ray.shutdown()
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))  # and nobody listens
+        address = f"127.0.0.1:{taken.getsockname()[1]}"
+        with pytest.raises(SuiteError, match=rf"--ray {address}: no such cluster .*; ray start --head"):
+            RayPool(SMALL, address=address)
+
+
+def test_a_cluster_that_is_too_small_is_one_line(ray_pool, cluster):
     with pytest.raises(SuiteError, match=r"no machine there has 9 cores, 0 GPUs and 0.01 GB; ask for less"):
         RayPool(Resources(cpus=9, gpus=0.0, memory_gb=0.01), address=cluster.address)
 
