@@ -8,13 +8,15 @@ import re
 import sys
 import traceback
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from ggwarp.config import RunConfig
+from ggwarp.console import Display
 from ggwarp.datasets import BUILT_IN, Dataset, DatasetError
 from ggwarp.datasets.base import is_live
+from ggwarp.datasets.plan.sequence_plan import SequencePlan
 from ggwarp.io.printable import printable
 from ggwarp.types import StepReport, Verdict
 
@@ -23,6 +25,14 @@ _FEW_READINGS = 0.02
 _NEAR = 0.1
 """Metres: nearer depth is not used by tracking."""
 _UNIT = "is the depth's unit right?"
+
+
+def introduce(display: Display, plan: SequencePlan, rest: Iterable[str]) -> None:
+    """Say what a run's sequence is taken for, then ``rest``, then what is odd about it."""
+    for line in (*plan.lines(), *rest):
+        display.note(line)
+    for line in plan.warnings:
+        display.warn(line)
 
 
 def introduction(asked: RunConfig, config: RunConfig, dataset: Dataset, frames: int) -> Iterator[str]:

@@ -14,6 +14,7 @@ from ggwarp.io.printable import printable
 
 if TYPE_CHECKING:
     from ggwarp.console import Display
+    from ggwarp.viewer.live import LiveViewer
 
 USER_ERROR = 2
 
@@ -55,15 +56,21 @@ def _main(arguments: list[str], interruption: Interruption, started: float) -> i
             raise KeyboardInterrupt
         command = parse(arguments)
         display = open_display(command.verbosity)
-        session = Session(
-            command.run,
-            display,
-            interruption,
-            started=started,
-            interval=command.interval,
-            resumed=command.resumed,
-        )
-        return session.run()
+        with contextlib.ExitStack() as stack:
+            viewer = None
+            if command.viewer or command.viewer_at is not None:
+                viewer, display = _open_viewer(command.viewer_at, display)
+                stack.callback(viewer.close)
+            session = Session(
+                command.run,
+                display,
+                interruption,
+                started=started,
+                interval=command.interval,
+                resumed=command.resumed,
+                viewer=viewer,
+            )
+            return session.run()
     except (ConfigError, DatasetError) as error:
         return _refuse(display, str(error))
     except MemoryError:
@@ -74,6 +81,26 @@ def _main(arguments: list[str], interruption: Interruption, started: float) -> i
     finally:
         if display is not None:
             display.close()
+
+
+def _open_viewer(at: str | None, display: Display) -> tuple[LiveViewer, Display]:
+    """Start the page at ``at``, and say where it is; return it and the display that it shows, too."""
+    from ggwarp.config import ConfigError
+    from ggwarp.results.saved_run import RunError
+
+    try:
+        from ggwarp.viewer import live, server
+
+        host, port = server.parse_address(at or f"{server.LOCAL}:{server.PORT}", "--viewer-at")
+        viewer = live.LiveViewer(host, port)
+    except ModuleNotFoundError as error:
+        raise ConfigError(
+            f"--viewer: {error.name} is not installed; pip install 'ggwarp[viewer]' brings it"
+        ) from None
+    except RunError as error:
+        raise ConfigError(str(error)) from None
+    display.note(f"{viewer.url} ({server.reach(host)})")
+    return viewer, live.ShownDisplay(display, viewer)
 
 
 def _refuse(display: Display | None, message: str, code: int = USER_ERROR) -> int:

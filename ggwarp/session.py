@@ -36,6 +36,7 @@ from ggwarp.runtime import loading
 from ggwarp.runtime.memory import image_budget
 from ggwarp.saving import Saver, ViewSaver
 from ggwarp.types import Frame, Rendered, StepReport, Verdict
+from ggwarp.viewer.watching import NoViewer, RunViewer
 
 DONE, FAILED = 0, 1
 """Exit codes."""
@@ -59,6 +60,7 @@ class Session:
         started: float | None = None,
         interval: CheckpointInterval | None = None,
         resumed: ResumedRun | None = None,
+        viewer: RunViewer | None = None,
     ) -> None:
         """Make a session that has done nothing yet.
 
@@ -68,13 +70,14 @@ class Session:
             started: time.perf_counter() at the command's start; None: now.
             interval: how often a checkpoint is written; None: never.
             resumed: the run to go on with, whose ``config`` is like it; None: a new one.
+            viewer: shows the run while it goes on; None: nobody looks.
         """
         self.config = config
         self.folder: StagedFolder | None = None
-        self._display = display
-        self._interruption = interruption or Interruption()
         self._started = time.perf_counter() if started is None else started
-        self._interval, self._resumed = interval or CheckpointInterval(), resumed
+        self._interval, self._resumed, self._display = interval or CheckpointInterval(), resumed, display
+        self._viewer: RunViewer = viewer or NoViewer()
+        self._interruption = interruption or Interruption()
 
     def run(self) -> int:
         """Run it and return the exit code: 0, 1 (failed on the way), or that of the signal.
@@ -121,10 +124,7 @@ class Session:
         self.folder = staged_folder(config, self._resumed, self._name)
         plan = plan_sequence(self._dataset, self._indices, tracked_masks=config.slam.masks_kind == "tracked")
         self._plan = plan.to_json()
-        for line in (*plan.lines(), *messages.introduction(asked, config, dataset, len(self._indices))):
-            display.note(line)
-        for line in plan.warnings:
-            display.warn(line)
+        messages.introduce(display, plan, messages.introduction(asked, config, dataset, len(self._indices)))
 
     def prepare(self) -> None:
         """Build the system, make the run folder and load the kernels."""
@@ -152,6 +152,7 @@ class Session:
             self._display.note(messages.left_by_a_killed_run(left, kept_in(kept) if kept else ""))
         self._begin(folder.path)
         load_kernels(config.device, self._display)
+        self._viewer.begin(self._slam, folder.target)
         record, display, started = self.record, self._display, self._started
         self._checkpoints = Checkpoints(
             self._interval, self._slam, config, folder, self._reader, record, display, started
@@ -264,8 +265,7 @@ class Session:
         """Say how the run ended, with its figures where it is complete; return the exit code."""
         display, record, where = self._display, self.record, self._saver.where
         display.close()
-        count = "" if is_live(self._dataset) else f" of {len(self._indices)}"
-        share = f"{len(record.reports)}{count} frames"
+        share = f"{len(record.reports)}{'' if is_live(self._dataset) else f' of {len(self._indices)}'} frames"
         if record.failure is not None:
             display.conclude(f"failed after {share}; saved in {where}")
             return FAILED
@@ -313,8 +313,7 @@ class Session:
 
     def _take(self, frame: Frame, step: StepReport) -> None:
         """Add a processed frame to the record, and show it."""
-        reports = self.record.reports
-        reports.append(step)
+        (reports := self.record.reports).append(step)
         if frame.T_wc is not None:
             self.record.truth[frame.index] = frame.T_wc
         if step.verdict is Verdict.LOST:
@@ -323,6 +322,7 @@ class Session:
             self._display.note(messages.closed_loop(step))
         self.record.loop_s = time.perf_counter() - self._loop_started
         self._display.advance(messages.status(step, len(reports) / self.record.loop_s))
+        self._loop_started += self._viewer.show(frame, step, lambda: self._stopped)
 
     def _skip(self, frame: BadFrame) -> None:
         self.record.skipped[frame.index] = frame.reason

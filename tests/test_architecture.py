@@ -41,18 +41,19 @@ ALLOWED: dict[str, set[str]] = {
     "results": _VALUES | {"map", "io", "objects", "evaluation"},
     "editing": _MAP | {"io", "objects", "evaluation", "results"},
     "export": _MAP | {"io", "objects", "results", "editing", "datasets", "config"},
-    "viewer": _MAP | {"io", "objects", "results", "editing", "config", "datasets"},
+    "viewer": _MAP | {"io", "objects", "results", "editing", "config", "console", "datasets"},
     "report": _VALUES | {"map", "io", "objects", "evaluation", "results", "config"},
     "config": {"types", "geometry", "io", "datasets", "console", "results", *_SYSTEM},
     "console": {"io"},
-    "messages": {"types", "io", "config", "datasets"},
+    "messages": {"types", "io", "config", "console", "datasets"},
     "saving": {"types", "console", "messages", "results", "report"},
     "checkpointing": {"runtime", "io", "datasets", "results", "config", "console", *_SYSTEM},
     "interruption": set(),
     "preparation": {"runtime", "datasets", "config", "console", *_SYSTEM},
     "session": {"types", "runtime", "io", "datasets", "evaluation", "results"}
-    | {"config", "console", "interruption", "preparation", "messages", "saving", "checkpointing", *_SYSTEM},
-    "run": {"io", "datasets", "config", "console", "interruption", "session"},
+    | {"config", "console", "interruption", "preparation", "messages", "saving", "checkpointing", *_SYSTEM}
+    | {"viewer"},
+    "run": {"io", "datasets", "config", "console", "interruption", "session", "results", "viewer"},
     "suite": {"runtime", "io", "datasets", "results", "config", "console", "interruption", "run"}
     | {"pipeline", "pipeline.tracking"},
     "commands": {"types", "geometry", "runtime", "io", "datasets", "evaluation", *_SYSTEM},

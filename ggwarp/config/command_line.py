@@ -52,6 +52,10 @@ class Command:
     checkpoint_every: str = "60s"
     """Write a checkpoint every so many frames, such as 100, or seconds, such as 60s. The word off means
     never."""
+    viewer: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Show the run in the browser while it goes on, at 127.0.0.1:8080 or as --viewer-at says."""
+    viewer_at: str | None = None
+    """Show the run in the browser at HOST:PORT, such as 0.0.0.0:8080, which the network reaches."""
     resumed: Annotated[ResumedRun | None, tyro.conf.Suppress, tyro.conf.Fixed] = None
     verbose: Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(aliases=["-v"])] = False
     """Say more: a line for every frame, and what the library logs in detail."""

@@ -18,7 +18,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "The recording": ("seq", "data", "frames", "masks", "masks-kind", "masks-void", "mono", "intrinsics"),
     "The method": ("config", "preset", "tracker", "loops", "policy", "use-identity", "refine"),
     "The machine and the pace": ("device", "scale", "fps", "pipelined", "memory"),
-    "The results": ("out", "save-renders", "checkpoint-every", "resume"),
+    "The results": ("out", "save-renders", "checkpoint-every", "resume", "viewer", "viewer-at"),
 }
 """The options that are not of one part of the system, by what they are about."""
 

@@ -58,6 +58,7 @@ class Slam:
         keyframe_indices: frames that were ever used for mapping.
         counts: tracking_keyframes, mapping_keyframes, frames_lost, loops_closed; the mapper's ``left_out``.
         loops: closes them; says why they stay open.
+        mapping_scope: to be held by others who look at the map between frames.
     """
 
     def __init__(
@@ -84,7 +85,7 @@ class Slam:
         self.camera, self._sensor_camera = camera, sensor_camera
         self._images = images
         self._scheduler = scheduler or SynchronousScheduler(config.mapper.iterations)
-        self._tracking_scope = self._mapping_scope = NO_LOCK
+        self._tracking_scope = self.mapping_scope = NO_LOCK
         self._restart_at: Float64 | None = None
         self._unmapped = 0
         self._moved_by: int | None = None
@@ -171,7 +172,7 @@ class Slam:
 
     def mapping_state(self) -> State:
         """Return the state of the mapper's side, between two of its frames."""
-        with self._mapping_scope:
+        with self.mapping_scope:
             return state_of(self, _MAPPING_STATE)
 
     def restore(self, tracking: State, mapping: State, frames: FrameSource) -> None:
@@ -195,11 +196,11 @@ class Slam:
         # Two threads must not compile a kernel at once.
         loading.load(loading.imported_kernel_modules(self.device), self.device)
         with stream_scopes(self.device) as scopes:
-            self._tracking_scope, self._mapping_scope = scopes
+            self._tracking_scope, self.mapping_scope = scopes
             try:
                 yield
             finally:
-                self._tracking_scope = self._mapping_scope = NO_LOCK
+                self._tracking_scope = self.mapping_scope = NO_LOCK
 
     def skip_frame(self) -> None:
         """Let the time of a frame pass that cannot be used."""
@@ -271,7 +272,7 @@ class Slam:
         if tracked.closure is None or self._moved_by == tracked.frame.index:
             return
         correction, self._moved_by = tracked.closure.correction, tracked.frame.index
-        with self._mapping_scope:
+        with self.mapping_scope:
             self._mapper.move(correction)
         self._poses.move(correction)
         self.counts["loops_closed"] += 1
@@ -279,7 +280,7 @@ class Slam:
     def _insert(self, tracked: TrackedFrame) -> TrackedFrame:
         """Give the mapper a keyframe, and what it keeps of any frame; return ``tracked`` as it was mapped."""
         frame, result = tracked.frame, tracked.result
-        with self._mapping_scope:
+        with self.mapping_scope:
             if tracked.is_keyframe or (self._mapper.refused and not tracked.is_lost):
                 keyframe = frame if result.depth is None else dataclasses.replace(frame, depth=result.depth)
                 tracked = tracked.mapped(self._mapper.insert(keyframe, result.T_wc, result.exposure))
@@ -293,7 +294,7 @@ class Slam:
         if not tracked.is_keyframe or len(self.keyframe_indices) != 1 or not self._mapper.ready:
             return 0
         for _ in range(self.config.mapper.bootstrap):
-            with self._mapping_scope:
+            with self.mapping_scope:
                 self._mapper.iterate()
         return self.config.mapper.bootstrap
 
@@ -301,14 +302,14 @@ class Slam:
         """Fit the map as long as the schedule says; return the iterations."""
         done = 0
         while self._mapper.ready and self._scheduler.should_continue(done, waiting):
-            with self._mapping_scope:
+            with self.mapping_scope:
                 self._mapper.iterate()
             done += 1
         return done
 
     def _synchronise(self, tracked: TrackedFrame) -> float:
         """Wait for the iterations and return their mean loss; hand on a keyframe's corrected pose."""
-        with self._mapping_scope:
+        with self.mapping_scope:
             loss = self._mapper.synchronise()
             corrects = tracked.is_keyframe and self._mapper.fits_poses and self.sequential_only
             T_wc = self._mapper.keyframe_pose(-1) if corrects else None

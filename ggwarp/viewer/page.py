@@ -130,7 +130,7 @@ class Page:
         ids = run.gaussians.object_ids
         if ids is not None and session.selected and not self.as_it_was:
             shades = colours.tinted(shades, np.isin(ids, session.selected))
-        scene.add_splats(self.server.scene, scene.MAP, run.gaussians.take(visible), shades[visible])
+        scene.show_splats(self.server.scene, scene.MAP, run.gaussians.take(visible), shades[visible])
         self._draw_boxes()
 
     def hold(self, object_id: int) -> scene.Held:
@@ -140,7 +140,7 @@ class Page:
         grip, chosen = self.session.grip(object_id)
         visible = self.session.visible & ~chosen
         shades = colours.splat_colours(run.gaussians, self.mode, eye=self._eye, classifier=run.classifier)
-        scene.add_splats(self.server.scene, scene.MAP, run.gaussians.take(visible), shades[visible])
+        scene.show_splats(self.server.scene, scene.MAP, run.gaussians.take(visible), shades[visible])
         self._held = scene.hold(
             self.server.scene,
             run.gaussians.take(chosen),

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import viser
@@ -24,26 +25,33 @@ _SELECTED_COLOUR = (255, 140, 0)
 _EDGES = np.array([(a, b) for a in range(8) for b in range(a) if (a ^ b).bit_count() == 1])
 
 
-def add_splats(
+def show_splats(
     scene: viser.SceneApi,
     name: str,
     gaussians: Gaussians,
     colours: Float32,
     *,
     origin: ArrayLike = (0.0, 0.0, 0.0),
-) -> viser.GaussianSplatHandle:
-    """Show ``gaussians`` in ``colours`` [n, 3], 0..1, replacing what has the name.
+) -> None:
+    """Show ``gaussians`` in ``colours`` [n, 3], 0..1, in place of what the name shows.
 
     Args:
         origin: [3] what their positions are relative to, metres, world frame.
     """
-    return scene.add_gaussian_splats(
-        name,
-        centers=gaussians.means - np.asarray(origin, np.float32),
-        covariances=covariances(gaussians),
-        rgbs=np.rint(255.0 * colours).astype(np.uint8),
-        opacities=_opacities(gaussians),
-    )
+    if not len(gaussians):
+        scene.remove_by_name(name)
+        return
+    values: dict[str, Any] = {
+        "centers": gaussians.means - np.asarray(origin, np.float32),
+        "covariances": covariances(gaussians),
+        "rgbs": np.rint(255.0 * colours).astype(np.uint8),
+        "opacities": _opacities(gaussians),
+    }
+    shown = scene.get_handle_by_name(name)
+    if isinstance(shown, viser.GaussianSplatHandle):
+        shown.set_gaussians(**values)
+    else:
+        scene.add_gaussian_splats(name, **values)
 
 
 def covariances(gaussians: Gaussians) -> Float32:
@@ -173,5 +181,5 @@ def hold(
     """Show an object's ``gaussians`` in ``colours`` [n, 3] on a gizmo at ``grip`` [3], which moves them."""
     size = max(0.25, 1.2 * max(record.oriented_box.half_sizes))
     gizmo = scene.add_transform_controls(HELD, scale=size, position=grip, depth_test=False)
-    add_splats(scene, f"{HELD}/splats", gaussians, colours, origin=grip)
+    show_splats(scene, f"{HELD}/splats", gaussians, colours, origin=grip)
     return Held(gizmo, grip)

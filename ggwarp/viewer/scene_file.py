@@ -47,7 +47,7 @@ def write_scene(run: SavedRun, path: Path, up: Up | None = None) -> None:
     try:
         scene.begin_with(server, view, run.camera)
         shades = colours.splat_colours(run.gaussians, colours.COLOUR, eye=view.start[:3, 3])
-        scene.add_splats(server.scene, scene.MAP, run.gaussians, shades)
+        scene.show_splats(server.scene, scene.MAP, run.gaussians, shades)
         scene.add_trajectories(server.scene, run.poses, history.live, history.loops)
         text = server.get_scene_serializer().as_html(dark_mode=True)
         text = text.replace("<head>", f"<head>\n    <script>{_WORKERS_OF_FILES}</script>", 1)

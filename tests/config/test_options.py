@@ -13,7 +13,13 @@ def test_there_are_few_options():
     assert len(flags) == len(set(flags))
     decisive = [o.flag for o in run_options()]
     assert len(decisive) <= MOST, decisive
-    assert set(flags) - set(decisive) == {"--config", "--resume", "--checkpoint-every"}
+    assert set(flags) - set(decisive) == {
+        "--config",
+        "--resume",
+        "--checkpoint-every",
+        "--viewer",
+        "--viewer-at",
+    }
 
 
 def test_each_is_explained_in_whole_sentences():
