@@ -154,7 +154,7 @@ def load_suite(name: str) -> Suite:
     """
     path = Path(name)
     shipped = {path.stem: path for path in sorted(SHIPPED.glob("*.toml"))}
-    if not path.exists() and name in shipped:
+    if not path.is_file() and name in shipped:
         path = shipped[name]
     elif not path.exists():
         raise SuiteError(

@@ -144,6 +144,13 @@ def test_published_rows_agree_with_the_paper_s_own_averages():
     assert rows["GS-SLAM"].average("fps", own.sequences) is None, "nor is there an average of a part"
 
 
+def test_a_folder_does_not_hide_a_shipped_suite(tmp_path: Path, monkeypatch):
+    """Such as the one that an earlier start was told to write to."""
+    monkeypatch.chdir(tmp_path)
+    Path("built-in").mkdir()
+    assert load_suite("built-in").title == "Built-in scenes"
+
+
 def test_public_names_are_there():
     import ggwarp.suite
 
