@@ -121,5 +121,6 @@ class Interruption:
         if first:
             self.number, self._asked_at = number, time.monotonic()
         late = time.monotonic() - self._asked_at > _PATIENCE
-        if self.at_once or (late and self._breakable):
+        # A second one at once would break off what the first has begun: tidying up.
+        if (self.at_once and (first or late)) or (late and self._breakable):
             raise Interrupted

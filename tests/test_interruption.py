@@ -43,6 +43,16 @@ def test_where_there_is_nothing_to_save_it_ends_at_once() -> None:
     assert asked.exit_code == 143
 
 
+def test_a_second_one_does_not_break_off_what_the_first_has_begun() -> None:
+    with Interruption() as asked:
+        try:
+            send(signal.SIGTERM)
+        except KeyboardInterrupt:
+            send(signal.SIGINT)
+            tidy = True
+    assert tidy and asked.exit_code == 143
+
+
 def test_a_later_one_ends_a_step_that_does_not_end_but_no_saving(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(interruption, "_PATIENCE", -1.0)
     with Interruption() as asked:

@@ -17,7 +17,7 @@ import pytest
 from ggwarp.results.run_folder import OUTPUTS
 from ggwarp.results.saved_run import load_run
 
-FRAMES = ("--frames", "0:8", "--refine", "60")
+FRAMES = ("--frames", "0:5", "--refine", "30")
 ALWAYS = set(OUTPUTS) - {"trajectory_gt.txt", "classifier.npz"}
 NUMBERS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
