@@ -6,13 +6,13 @@ from __future__ import annotations
 import contextlib
 import sys
 import time
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from ggwarp.interruption import Interruption, end_program_after, leave_compilers
-from ggwarp.io.printable import printable
 
+TYPE_CHECKING = False  # not typing's: no signal is heard before this module is imported
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from ggwarp.console import Display
     from ggwarp.viewer.live import LiveViewer
 
@@ -104,6 +104,8 @@ def _open_viewer(at: str | None, display: Display) -> tuple[LiveViewer, Display]
 
 
 def _refuse(display: Display | None, message: str, code: int = USER_ERROR) -> int:
+    from ggwarp.io.printable import printable
+
     if display is not None:
         display.close()
     with contextlib.suppress(OSError):  # the terminal may have gone
