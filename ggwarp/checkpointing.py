@@ -93,13 +93,15 @@ class Checkpoints:
         try:
             if self._is_live:
                 write_system(self._folder.path, self._slam, self._record.class_names)
+            elif snapshot.failure is not None:
+                raise snapshot.failure
             else:
                 save_checkpoint(self._folder.path, self._tree(snapshot))
-        except (OSError, TypeError) as error:  # TypeError: of state that no checkpoint can hold
+        except Exception as error:  # whatever it is, the run is worth more
             self._folder.name_target(error)
             if not self._failing:
                 where = f"{error.filename}: " if isinstance(error, OSError) and error.filename else ""
-                why = getattr(error, "strerror", None) or error
+                why = getattr(error, "strerror", None) or str(error) or type(error).__name__
                 what = "not saved so far" if self._is_live else "no checkpoint"
                 self._display.warn(f"{what}: {where}{why}; the run goes on")
             self._failing = True
@@ -130,7 +132,7 @@ class Checkpoints:
         """Write one of the system as it is, between two frames, unless there is one; not after a failure."""
         off = self._interval.is_off or not self._slam.has_state or self._record.failure is not None
         if not off and self._written != self._progress:
-            self.write(Snapshot(self._slam.tracking_state(), self._slam.mapping_state()))
+            self.write(Snapshot().take_tracking(self._slam).take_mapping(self._slam))
 
     @property
     def _progress(self) -> tuple[int, int]:

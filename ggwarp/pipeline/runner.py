@@ -46,11 +46,29 @@ class Snapshot:
 
     Attributes:
         pending: frames between the two: tracked, but not mapped, as the run was stopped.
+        failure: why a side could not give its state, such as for want of memory. The run itself goes on.
     """
 
-    tracking: State
+    tracking: State = field(default_factory=dict)
     mapping: State = field(default_factory=dict)
     pending: list[TrackedFrame] = field(default_factory=list)
+    failure: Exception | None = None
+
+    def take_tracking(self, slam: Slam) -> Snapshot:
+        """Add the tracker's side."""
+        try:
+            self.tracking = slam.tracking_state()
+        except Exception as error:
+            self.failure = error
+        return self
+
+    def take_mapping(self, slam: Slam) -> Snapshot:
+        """Add the mapper's side."""
+        try:
+            self.mapping = slam.mapping_state()
+        except Exception as error:
+            self.failure = error
+        return self
 
 
 class SideError(RuntimeError):
@@ -99,15 +117,14 @@ def run_steps(
             for item, tracked in itertools.chain(((t.frame, t) for t in pending), source):
                 if isinstance(item, Snapshot):
                     if failure is None and slam.has_state:
-                        item.mapping = slam.mapping_state()
-                        yield item, None
+                        yield item.take_mapping(slam), None
                     continue
                 if tracked is None:
                     yield item, None
                     continue
                 if failure is not None or (concurrent and stopped()):
                     if unmapped is None and failure is None and slam.has_state:
-                        unmapped = Snapshot({}, slam.mapping_state())
+                        unmapped = Snapshot().take_mapping(slam)
                     if unmapped is not None:
                         unmapped.pending.append(tracked)
                     report = slam.leave_unmapped(tracked)
@@ -121,8 +138,7 @@ def run_steps(
     if failure is not None:
         raise failure
     if unmapped is not None and isinstance(source, _Ahead) and source.is_complete:
-        unmapped.tracking = slam.tracking_state()
-        yield unmapped, None
+        yield unmapped.take_tracking(slam), None
 
 
 def _mapped(
@@ -145,7 +161,7 @@ def _tracked(
     remaining = iter(items)
     while not stopped():
         if snapshot_due() and last is not None:
-            yield Snapshot(slam.tracking_state()), None
+            yield Snapshot().take_tracking(slam), None
         try:
             item = next(remaining, None)
         except Exception as error:

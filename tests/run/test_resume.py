@@ -241,3 +241,18 @@ def test_a_disk_without_room_is_told_once(whole: Path, tmp_path: Path, monkeypat
     assert_same(out, whole)
     assert run.main(["--resume", str(out)]) == run.USER_ERROR
     assert "has no checkpoint" in only_line(capsys)
+
+
+@pytest.mark.parametrize("side", ["tracking_state", "mapping_state"])
+def test_a_state_that_cannot_be_had_costs_the_checkpoint_alone(
+    whole: Path, tmp_path: Path, monkeypatch, capsys, side: str
+) -> None:
+    def none_left(self):
+        raise MemoryError
+
+    monkeypatch.setattr(f"ggwarp.pipeline.slam.Slam.{side}", none_left)
+    out = tmp_path / "o"
+    assert run.main([*WHOLE, "--out", str(out), "--checkpoint-every", "1", "-q"]) == 0
+    said = "".join(capsys.readouterr())
+    assert said.count("no checkpoint: MemoryError; the run goes on") == 1
+    assert_same(out, whole)
