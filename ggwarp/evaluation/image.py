@@ -7,10 +7,6 @@ out, SSIM and LPIPS see both images with those pixels set to black.
 
 from __future__ import annotations
 
-import importlib.util
-import logging
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,12 +14,9 @@ from numpy.typing import NDArray
 
 from ggwarp.types import Float32
 
-_log = logging.getLogger(__name__)
-
 _SSIM_WINDOW = 11  # pixels: what scikit-image gives a Gaussian of sigma 1.5
 
 Bools = NDArray[np.bool_]
-Lpips = Callable[[Float32, Float32], float]
 
 
 def psnr(image: Float32, reference: Float32, valid: Bools) -> float | None:
@@ -98,32 +91,3 @@ def depth_l1(depth: Float32, reference: Float32) -> float | None:
     if not valid.any():
         return None
     return float(np.mean(np.abs(depth[valid] - reference[valid]), dtype=np.float64))
-
-
-def open_lpips() -> Lpips | None:
-    """Return LPIPS (AlexNet) if the package and its weights are on this machine, else None.
-
-    Nothing is ever downloaded; one line of the log says what is missing.
-
-    Returns:
-        A function of two [h, w, 3] images in 0..1, lower is closer.
-    """
-    if importlib.util.find_spec("lpips") is None:
-        _log.info("LPIPS is not measured: pip install 'ggwarp[lpips]' adds it")
-        return None
-    import torch
-
-    checkpoints = Path(torch.hub.get_dir()) / "checkpoints"
-    if not list(checkpoints.glob("alexnet-*.pth")):
-        _log.info("LPIPS is not measured: AlexNet's weights are not in %s", checkpoints)
-        return None
-    import lpips  # pyright: ignore[reportMissingImports]
-
-    network = lpips.LPIPS(net="alex", verbose=False).eval()
-
-    def distance(image: Float32, reference: Float32) -> float:
-        batches = [torch.from_numpy(i.transpose(2, 0, 1).copy())[None] for i in (image, reference)]
-        with torch.no_grad():
-            return float(network(*batches, normalize=True))
-
-    return distance

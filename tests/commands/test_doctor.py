@@ -21,7 +21,7 @@ def _by_subject(findings: Iterable[Finding]) -> dict[str, Finding]:
 
 def test_all_packages_are_there() -> None:
     found = _by_subject(doctor.packages(lambda package: "1.2.3"))
-    assert found["torch"].state == "1.2.3" and found["extra lpips"].state == "lpips 1.2.3"
+    assert found["torch"].state == "1.2.3" and found["extra export"].state == "gaussforge 1.2.3"
     assert not any(f.remedy for f in found.values())
 
 

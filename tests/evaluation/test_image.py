@@ -86,11 +86,3 @@ def test_nothing_valid_is_not_measured(pair):
     assert image.depth_l1(noisy[..., 0], np.zeros_like(noisy[..., 0])) is None
     tiny = np.zeros((8, 8, 3), np.float32)
     assert image.ssim(tiny, tiny, np.ones((8, 8), bool)) is None
-
-
-def test_lpips_is_never_fetched(monkeypatch, tmp_path, caplog):
-    """Without the package or its weights there is one line and no measure."""
-    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
-    caplog.set_level("INFO", logger="ggwarp")
-    assert image.open_lpips() is None
-    assert len(caplog.records) == 1 and "LPIPS is not measured" in caplog.text
