@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import queue
 import threading
@@ -86,6 +87,7 @@ class FrameReader:
         """The camera of ``sensor_depth``: native size, or twice the frames' where they are rendered."""
         self.indices = indices if isinstance(indices, range) else list(indices)
         """The frames to read, in this order."""
+        self._before: int | None = None  # the frame that went before the first
         self._ahead = ahead
         self._stopped = stopped
         self._stop = threading.Event()
@@ -103,6 +105,8 @@ class FrameReader:
         """Return a reader of the frames after the first ``count``."""
         rest = copy.copy(self)
         rest.indices, rest._stop, rest._thread = self.indices[count:], threading.Event(), None
+        gone = self.indices[:count]
+        rest._before = gone[-1] if gone else self._before
         return rest
 
     def read(self, index: int) -> Frame:
@@ -153,11 +157,17 @@ class FrameReader:
             yield item
 
     def _read(self, ready: queue.Queue[_Item], stop: threading.Event) -> None:
+        last: Frame | None = None
+        if self._before is not None and not self.is_live:
+            with contextlib.suppress(FrameError):
+                last = self._dataset[self._before]
         for index in self.indices:
             if stop.is_set():
                 return
             try:
-                item = resized(self._dataset[index], self.camera)
+                frame = self._dataset[index]
+                reason, last = repeated(frame, last), frame
+                item = BadFrame(index, reason) if reason else resized(frame, self.camera)
             except FrameError as error:
                 item = BadFrame(index, str(error))
             except SequenceEnd:
@@ -180,6 +190,20 @@ def _within(ready: queue.Queue[T], seconds: float) -> list[T]:
         return [ready.get(timeout=seconds)]
     except queue.Empty:
         return []
+
+
+def repeated(frame: Frame, last: Frame | None) -> str:
+    """Say which of a frame's pictures is the last frame's, to the bit, while the other is new; empty: none.
+
+    A sensor's noise makes every picture another one; a recorder that missed one writes the last one again.
+    """
+    if last is None or frame.depth is None or last.depth is None or not frame.depth.any():
+        return ""
+    same_depth, same_picture = np.array_equal(frame.depth, last.depth), np.array_equal(frame.rgb, last.rgb)
+    if same_depth == same_picture or np.ptp(frame.depth) == 0.0 or np.ptp(frame.rgb) == 0:
+        return ""
+    again, new = ("depth", "picture") if same_depth else ("picture", "depth")
+    return f"the {again} of frame {last.index} is there again, beside a new {new}: one {again} was missed"
 
 
 def resized(frame: Frame, camera: Camera) -> Frame:

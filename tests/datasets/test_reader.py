@@ -4,6 +4,7 @@
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -13,6 +14,7 @@ import pytest
 
 from ggwarp.datasets import BadFrame, DatasetError, FrameReader, open_dataset
 from ggwarp.datasets import reader as reader_module
+from ggwarp.datasets.reader import repeated
 from ggwarp.datasets.readers.replica import open_sequence
 from ggwarp.geometry.camera import Camera
 from ggwarp.types import Frame
@@ -171,3 +173,40 @@ def test_real_frames_at_half_size_keep_their_surfaces(recordings: Path) -> None:
             lowest = np.where(native > 0, native, np.inf).min(axis=2)
             inside = (frame.depth >= lowest - 1e-4) & (frame.depth <= native.max(axis=2) + 1e-4)
             assert (inside | (frame.depth == 0)).all()
+
+
+class Stuttering:
+    """A dataset whose frames have the depth and the picture of those numbers."""
+
+    camera = Camera(8, 6, 7.0, 7.0, 3.5, 2.5)
+
+    def __init__(self, pairs: list[tuple[int, int]]) -> None:
+        self._pairs = pairs
+
+    def __len__(self) -> int:
+        return len(self._pairs)
+
+    def __getitem__(self, index: int) -> Frame:
+        rng = [np.random.default_rng(number) for number in self._pairs[index]]
+        depth = rng[0].uniform(1.0, 2.0, (6, 8)).astype(np.float32)
+        return Frame(index, 0.1 * index, rng[1].integers(0, 255, (6, 8, 3)).astype(np.uint8), depth)
+
+
+def test_a_picture_that_a_recorder_repeats_is_not_used_twice() -> None:
+    dataset = Stuttering([(0, 0), (1, 1), (1, 2), (1, 3), (4, 4), (4, 4), (5, 4), (6, 6)])
+    reader = FrameReader(dataset, range(len(dataset)))  # pyright: ignore[reportArgumentType]
+    with reader:
+        items = list(reader)
+    bad = {item.index: item.reason for item in items if isinstance(item, BadFrame)}
+    assert list(bad) == [2, 3, 6], "what stands still, in both, is used"
+    assert bad[3] == "the depth of frame 2 is there again, beside a new picture: one depth was missed"
+    assert bad[6].startswith("the picture of frame 5 is there again, beside a new depth")
+    with reader.after(3) as rest:
+        items = list(rest)
+    assert [type(item) for item in items[:2]] == [BadFrame, Frame], "as if it had never stopped"
+
+
+def test_flat_pictures_are_no_repetition() -> None:
+    flat = Frame(0, 0.0, np.zeros((6, 8, 3), np.uint8), np.full((6, 8), 2.0, np.float32))
+    assert repeated(replace(flat, index=1, rgb=flat.rgb + np.uint8(9)), flat) == ""
+    assert repeated(flat, None) == "" == repeated(replace(flat, depth=None), flat)
