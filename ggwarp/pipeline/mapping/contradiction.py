@@ -4,8 +4,9 @@
 - *Pixels that moved.* A keyframe sees through a point of another where its depth lies behind it: the point
   was not there at that time. Keyframes vote on each other's pixels; those that more saw through than found in
   place show something that moves, as a person who walks by. One vote proves nothing: depth may be wrong.
-- *Pictures* of which half the pixels that the map explains are clipped where it is not: no robust estimate
-  holds beyond a half. Single clipped pixels count: what is white or black may be so, and the map not yet.
+- *Pictures* of which half the pixels that the map explains are clipped where it is not, or of other colours
+  whatever the exposure: no robust estimate holds beyond a half. Single clipped pixels count: what is white or
+  black may be so, and the map not yet.
 """
 
 from __future__ import annotations
@@ -36,6 +37,8 @@ _NEIGHBOURS = np.ones((3, 3), np.uint8)
 _DARK, _BRIGHT = 4.0 / 255.0, 250.0 / 255.0
 _APART = 0.1
 """A clipped pixel is wrong where the map is this far from the end of the scale."""
+_DIFFERENT = 0.2
+"""Of the scale, in a channel: colours this far apart are not those of one place in one light."""
 _OPAQUE = 0.95
 _BREAKDOWN = 0.5
 _LEAST = 0.05
@@ -49,10 +52,7 @@ def clipped_share(frame: Frame, rendered: Rendered) -> float:
         frame: at the map's image size, with depth.
         rendered: the map's view from its pose.
     """
-    assert frame.depth is not None
-    picture = frame.rgb.astype(np.float32) / 255.0
-    explained = (rendered.opacity > _OPAQUE) & (frame.depth > 0.0)
-    explained &= np.abs(rendered.surface_depth - frame.depth) < _TOLERANCE * frame.depth
+    picture, explained = frame.rgb.astype(np.float32) / 255.0, _explained(frame, rendered)
     if np.mean(explained) < _LEAST:
         return 0.0
     white = np.any((picture >= _BRIGHT) & (rendered.rgb < _BRIGHT - _APART), axis=2)
@@ -60,9 +60,45 @@ def clipped_share(frame: Frame, rendered: Rendered) -> float:
     return np.count_nonzero(explained & np.logical_or(white, black)) / np.count_nonzero(explained)
 
 
-def is_unusable(share: float) -> bool:
-    """Whether a picture of which this ``share`` is clipped is left out whole."""
-    return share > _BREAKDOWN
+def different_share(frame: Frame, rendered: Rendered) -> float:
+    """Return the share of what the map explains of a picture that has other colours, at its best exposure.
+
+    Gain and offset of each channel are those of medians and median deviations, which half of the pixels
+    cannot move; or none, where the map's own exposure fits better.
+
+    Args:
+        frame, rendered: as of :func:`clipped_share`.
+    """
+    picture, explained = frame.rgb.astype(np.float32) / 255.0, _explained(frame, rendered)
+    if np.mean(explained) < _LEAST:
+        return 0.0
+    seen, known = picture[explained], rendered.rgb[explained]
+    middle, known_middle = np.median(seen, axis=0), np.median(known, axis=0)
+    spread, known_spread = (
+        np.median(np.abs(values - centre), axis=0)
+        for values, centre in ((seen, middle), (known, known_middle))
+    )
+    exposed = (known - known_middle) * (spread / np.maximum(known_spread, 1e-3)) + middle
+    shares = [np.mean(np.any(np.abs(seen - colours) > _DIFFERENT, axis=1)) for colours in (known, exposed)]
+    return float(min(shares))
+
+
+def unusable(frame: Frame, rendered: Rendered) -> str:
+    """Say why a picture is left out whole, having been compared with the map's view; empty: it is used."""
+    for share, said in (
+        (clipped_share(frame, rendered), "is clipped"),
+        (different_share(frame, rendered), "has other colours"),
+    ):
+        if share > _BREAKDOWN:
+            return f"{100.0 * share:.0f} % of what the map knows of it {said}"
+    return ""
+
+
+def _explained(frame: Frame, rendered: Rendered) -> Bools:
+    """Return [h, w] where the map is opaque and where the depth says it is."""
+    assert frame.depth is not None
+    there = (rendered.opacity > _OPAQUE) & (frame.depth > 0.0)
+    return there & (np.abs(rendered.surface_depth - frame.depth) < _TOLERANCE * frame.depth)
 
 
 @state_value

@@ -22,8 +22,7 @@ from ggwarp.objects.object_learning import ObjectLearning
 from ggwarp.pipeline.mapping.contradiction import (
     Bools,
     MovingPixels,
-    clipped_share,
-    is_unusable,
+    unusable,
     without_pixels,
 )
 from ggwarp.pipeline.mapping.densification import RESET_OPACITY, lower_opacities
@@ -200,11 +199,10 @@ class Mapper(Stateful):
     ) -> Bools | None:
         """Return the pixels [h, w] that contradict the rest, and leave out what they disprove; None: all."""
         assert frame.depth is not None
-        share = 0.0 if rendered is None else clipped_share(frame, rendered)
-        if is_unusable(share):
+        reason = "" if rendered is None else unusable(frame, rendered)
+        if reason:
             self.left_out["pictures_left_out"] += 1
-            said = "frame %d is not mapped: %.0f %% of what the map knows of it is clipped"
-            _log.warning(said, frame.index, 100.0 * share)
+            _log.warning("frame %d is not mapped: %s", frame.index, reason)
             return None
         number = len(self._keyframes)
         moved = moving.add(number, frame.depth, T_wc)

@@ -12,7 +12,8 @@ from ggwarp.pipeline.mapping.build import build_mapper
 from ggwarp.pipeline.mapping.contradiction import (
     MovingPixels,
     clipped_share,
-    is_unusable,
+    different_share,
+    unusable,
     without_pixels,
 )
 from ggwarp.pipeline.mapping.mapper import Mapper, MapperConfig
@@ -104,10 +105,30 @@ def test_a_clipped_picture_is_of_no_use_and_an_exposed_one_is():
     black = replace(frame, rgb=np.zeros_like(frame.rgb))
     louder = replace(frame, rgb=np.minimum(255, frame.rgb * 1.2).astype(np.uint8))
     shares = [clipped_share(f, _view(frame)) for f in (bright, black, louder, frame)]
-    assert [is_unusable(share) for share in shares] == [True, True, False, False]
+    assert [bool(unusable(f, _view(frame))) for f in (bright, black, louder, frame)] == [
+        True,
+        True,
+        False,
+        False,
+    ]
     assert shares[3] == 0.0 and shares[2] < 0.2
     part = replace(frame, rgb=np.where(np.arange(frame.rgb.shape[1])[:, None] < 60, bright.rgb, frame.rgb))
     assert 0.2 < clipped_share(part, _view(frame)) < 0.5
+
+
+def test_a_picture_of_something_else_is_of_no_use(rng: np.random.Generator):
+    """A decoder's garbage, or the picture of another place; not one of another exposure or white balance."""
+    frame, view = OFFICE[0], _view(OFFICE[0])
+    garbage = replace(frame, rgb=rng.integers(0, 256, frame.rgb.shape).astype(np.uint8))
+    elsewhere = replace(frame, rgb=255 - frame.rgb[::-1, ::-1])
+    assert "has other colours" in unusable(garbage, view) and "has other colours" in unusable(elsewhere, view)
+    half = replace(frame, rgb=np.where(np.arange(frame.rgb.shape[0])[:, None, None] < 50, frame.rgb, 128))
+    dark = replace(frame, rgb=(0.4 * frame.rgb).astype(np.uint8))
+    warm = replace(frame, rgb=(frame.rgb * [1.0, 0.8, 0.5] + [0, 10, 20]).astype(np.uint8))
+    noisy = np.clip(frame.rgb + rng.normal(0, 15, frame.rgb.shape), 0, 255).astype(np.uint8)
+    for usable in (frame, half, dark, warm, replace(frame, rgb=noisy)):
+        assert unusable(usable, view) == ""
+    assert different_share(frame, view) == 0.0 and different_share(dark, view) < 0.05
 
 
 def test_pixels_are_left_out_by_their_depth():
@@ -125,7 +146,7 @@ def test_a_map_that_explains_nothing_contradicts_nothing():
     unknown = replace(view, opacity=np.zeros_like(frame.depth))
     elsewhere = replace(view, depth=2.0 * frame.depth)
     for rendered in (unknown, elsewhere):
-        assert clipped_share(white, rendered) == 0.0
+        assert clipped_share(white, rendered) == 0.0 == different_share(white, rendered)
 
 
 def _psnr(mapper: Mapper, frame: Frame) -> float:
