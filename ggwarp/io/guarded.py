@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
-from ggwarp.io.printable import printable
+from ggwarp.io.printable import shown_path
 
 _MIB = 1 << 20
 
@@ -62,7 +62,7 @@ def check_file(path: str | Path, kind: FileKind) -> int:
     Raises:
         FileError: it is missing, no regular file, or larger than ``kind`` allows.
     """
-    name = printable(str(path))
+    name = shown_path(path)
     try:
         status = os.stat(path)
     except OSError as error:
@@ -89,7 +89,7 @@ def open_file(path: str | Path, kind: FileKind) -> Iterator[BinaryIO]:
         with open(path, "rb") as file:
             yield file
     except OSError as error:
-        raise FileError(f"{printable(str(path))}: cannot be read ({error.strerror or error})") from error
+        raise FileError(f"{shown_path(path)}: cannot be read ({error.strerror or error})") from error
 
 
 def read_bytes(path: str | Path, kind: FileKind) -> bytes:
@@ -101,7 +101,7 @@ def read_bytes(path: str | Path, kind: FileKind) -> bytes:
     with open_file(path, kind) as file:
         data = file.read(kind.limit + 1)
     if len(data) > kind.limit:  # some files of the system claim to be empty
-        raise FileError(f"{printable(str(path))}: never ends; {kind.name} has at most {kind.limit:,} bytes")
+        raise FileError(f"{shown_path(path)}: never ends; {kind.name} has at most {kind.limit:,} bytes")
     return data
 
 
@@ -114,7 +114,7 @@ def read_text(path: str | Path, kind: FileKind) -> str:
     try:
         return read_bytes(path, kind).decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise FileError(f"{printable(str(path))}: is not a text file (UTF-8)") from None
+        raise FileError(f"{shown_path(path)}: is not a text file (UTF-8)") from None
 
 
 def read_json(path: str | Path, kind: FileKind) -> Any:
@@ -128,10 +128,10 @@ def read_json(path: str | Path, kind: FileKind) -> Any:
     try:
         return json.loads(text)
     except json.JSONDecodeError as error:
-        raise FileError(f"{printable(str(path))}:{error.lineno}: is not JSON ({error.msg})") from None
+        raise FileError(f"{shown_path(path)}:{error.lineno}: is not JSON ({error.msg})") from None
     except (ValueError, RecursionError) as error:
         reason = "nested too deeply" if isinstance(error, RecursionError) else "a number is too long"
-        raise FileError(f"{printable(str(path))}: is not JSON that can be read ({reason})") from None
+        raise FileError(f"{shown_path(path)}: is not JSON that can be read ({reason})") from None
 
 
 def inside(folder: Path, path: Path) -> Path:
@@ -146,5 +146,5 @@ def inside(folder: Path, path: Path) -> Path:
         if path.is_relative_to(top) and ".." not in path.relative_to(top).parts:
             return path
     raise FileError(
-        f"{printable(str(path))}: lies outside {printable(str(folder))}; copy it there, or make a link there"
+        f"{shown_path(path)}: lies outside {shown_path(folder)}; copy it there, or make a link there"
     )

@@ -3,9 +3,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 _LONGEST = 80
+_LONGEST_PATH = 500
+"""Characters of a path: lists name files that no disk could hold."""
 
 
 def printable(text: str) -> str:
@@ -17,6 +20,11 @@ def printable(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
+def shown_path(path: Path) -> str:
+    """Return a path as a message shows it: printable, and as long as those that can exist with some room."""
+    return shortened(printable(str(path)), _LONGEST_PATH)
 
 
 def shown(value: Any) -> str:
