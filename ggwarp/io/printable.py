@@ -22,7 +22,7 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
-def shown_path(path: Path) -> str:
+def shown_path(path: str | Path) -> str:
     """Return a path as a message shows it: printable, and as long as those that can exist with some room."""
     return shortened(printable(str(path)), _LONGEST_PATH)
 
