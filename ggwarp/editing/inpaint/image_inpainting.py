@@ -13,6 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy import fft
 
 from ggwarp.types import Float32, Float64
 
@@ -128,22 +129,41 @@ def _self_likeness(known: Float64, where: Bools) -> Float64:
     Shifts whose overlap is too small to judge by count as unlike, and so do those by a few pixels, under
     which any picture is like itself.
     """
-    from scipy.signal import fftconvolve  # heavy, and seldom needed
-
-    def overlap(a: Float64, b: Float64) -> Float64:
-        return np.asarray(fftconvolve(b, a[::-1, ::-1]), np.float64)
-
-    weight = where.astype(np.float64)
-    count = overlap(weight, weight)
-    power = (known**2).sum(axis=2)
-    product = sum(overlap(known[..., k], known[..., k]) for k in range(known.shape[2]))
-    here, there = overlap(power, weight), overlap(weight, power)
+    weight, power = where.astype(np.float64), (known**2).sum(axis=2)
+    of_weight, of_power, of_known = _spectrum(weight), _spectrum(power), _spectrum(known)
+    count = _correlation(of_weight, of_weight, where.shape)
+    product = _correlation(of_known, of_known, where.shape)
+    here = _correlation(of_power, of_weight, where.shape)
+    there = _correlation(of_weight, of_power, where.shape)
     enough = count > _LEAST_OVERLAP * weight.sum()
     scale = np.sqrt(np.maximum(here * there, 0.0))
     rows, columns = np.indices(count.shape)
     enough &= np.hypot(rows - known.shape[0] + 1, columns - known.shape[1] + 1) > _LEAST_SHIFT
     enough &= scale > 1e-6 * max(float(power.sum()), 1e-6)
     return np.divide(product, scale, out=np.zeros_like(count), where=enough)
+
+
+def _spectrum(image: Float64) -> NDArray[np.complex128]:
+    """Return the Fourier transform of ``image`` [h, w] or [h, w, c] with room for every shift."""
+    # Not scipy.signal, which takes seconds to import.
+    height, width = (fft.next_fast_len(2 * n - 1, real=True) for n in image.shape[:2])
+    return np.asarray(fft.rfft2(image, (height, width), axes=(0, 1)), np.complex128)
+
+
+def _correlation(
+    one: NDArray[np.complex128], other: NDArray[np.complex128], shape: tuple[int, ...]
+) -> Float64:
+    """Return [2 h - 1, 2 w - 1] the sums over the pixels p of one(p) other(p + shift), and over channels.
+
+    ``one`` and ``other`` are spectra of images [h, w] of ``shape``; in the middle is no shift.
+    """
+    product = other * one.conj()
+    if product.ndim == 3:
+        product = product.sum(axis=2)
+    height, width = shape
+    size = tuple(fft.next_fast_len(2 * n - 1, real=True) for n in shape)
+    cyclic = np.asarray(fft.irfft2(product, size), np.float64)
+    return np.roll(cyclic, (height - 1, width - 1), (0, 1))[: 2 * height - 1, : 2 * width - 1]
 
 
 def smoothed(colour: Float64, known: Bools, sigma: float) -> Float64:
