@@ -22,6 +22,7 @@ Vector = tuple[float, float, float]
 _TRIM = 1.0  # percent at either end of an axis
 _LINK = 3.0  # median distances to the nearest neighbour: closer points are one part
 _LEAST_PART = 0.02  # of the points, and three of them; a smaller part is stray
+_ALWAYS = 0.25  # of the points: a part that has so many counts wherever it is
 _POINTS = 4000  # points a hull is made of at most
 
 
@@ -57,7 +58,9 @@ def main_parts(points: NDArray[np.floating]) -> NDArray[np.bool_]:
     """Return [n] which of ``points`` [n, 3] lie in a large enough part of their cloud.
 
     Points closer than three median neighbour distances are one part; a part counts with at least a
-    fiftieth of the points and three of them, and the largest always does.
+    fiftieth of the points and three of them, and the largest always does. One with less than a quarter of the
+    points counts only where it is no farther from the others than they are large: three of sixteen Gaussians
+    may be a handle, but not half a metre from a mouse.
     """
     return separate_parts(points) >= 0
 
@@ -78,7 +81,33 @@ def separate_parts(points: NDArray[np.floating]) -> NDArray[np.int32]:
     number = np.empty(len(sizes), np.int32)
     number[np.argsort(-sizes, kind="stable")] = np.arange(len(sizes))
     number[sizes < min(max(_LEAST_PART * len(points), 3), sizes.max())] = -1
+    number[_far_off(points, number[parts], sizes, number)] = -1
     return number[parts]
+
+
+def _far_off(
+    points: NDArray[np.floating], part: NDArray[np.int32], sizes: NDArray[np.intp], number: NDArray[np.int32]
+) -> NDArray[np.bool_]:
+    """Return which parts are small, and farther from the others than these are large.
+
+    Args:
+        part: [n] the number of each point's part, -1: none.
+        sizes, number: [parts] how many points each part has, and its number.
+    """
+    from scipy.spatial import KDTree
+
+    large = number[sizes >= _ALWAYS * len(points)]
+    joined = np.isin(part, np.append(large[large >= 0], 0))
+    waiting = set(np.unique(part[~joined & (part >= 0)]).tolist())
+    while waiting:
+        reach = float(np.linalg.norm(np.ptp(points[joined], axis=0)))
+        tree: Any = KDTree(points[joined])
+        near = {k for k in waiting if tree.query(points[part == k])[0].min() <= reach}
+        if not near:
+            break
+        joined |= np.isin(part, list(near))
+        waiting -= near
+    return np.isin(number, list(waiting))
 
 
 def linked_parts(tree: Any, link: float) -> NDArray[np.int32]:

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from ggwarp.geometry import se3
-from ggwarp.geometry.boxes import axis_aligned_box, main_parts, oriented_box
+from ggwarp.geometry.boxes import axis_aligned_box, main_parts, oriented_box, separate_parts
 
 SIZES = np.array([1.2, 0.5, 0.3])
 
@@ -54,12 +54,23 @@ def test_the_same_points_in_another_order_give_the_same_box(rng):
 
 def test_strays_are_no_part(rng):
     body = rng.uniform(0, 1, (300, 3))
-    leg = rng.uniform(0, 0.2, (40, 3)) + np.array([3.0, 0.0, 0.0])
+    leg = rng.uniform(0, 0.2, (40, 3)) + np.array([2.0, 0.0, 0.0])
     strays = rng.uniform(5, 50, (6, 3))
     kept = main_parts(np.concatenate([body, leg, strays]))
     assert kept[:340].mean() > 0.98 and not kept[340:].any()
     assert main_parts(np.zeros((2, 3))).all() and main_parts(np.zeros((50, 3))).all()
     assert len(main_parts(np.zeros((0, 3)))) == 0
+
+
+def test_a_few_points_far_off_are_no_part_and_many_are(rng):
+    mouse = rng.uniform(0, 0.1, (13, 3))
+    strays = rng.uniform(0, 0.02, (3, 3)) + np.array([0.8, 0.0, 0.0])
+    kept = main_parts(np.concatenate([mouse, strays]))
+    assert kept[:13].sum() >= 10 and not kept[13:].any()
+    assert max(oriented_box(np.concatenate([mouse, strays])[kept]).half_sizes) < 0.1
+    other_half = rng.uniform(0, 0.1, (40, 3)) + np.array([5.0, 0.0, 0.0])
+    parts = separate_parts(np.concatenate([rng.uniform(0, 0.1, (60, 3)), other_half]))
+    assert (parts[:60] == 0).mean() > 0.9 and (parts[60:] == 1).mean() > 0.9
 
 
 def test_the_upright_box_is_trimmed(rng):
