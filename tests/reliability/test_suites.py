@@ -107,7 +107,6 @@ def test_on_a_cluster_that_loses_a_machine_figures_are_the_same_to_the_bit(local
         while len(list(out.glob("runs/*/*/seed-*/metrics.json"))) < 3:
             time.sleep(0.05)
         cluster.remove_node(victim, allow_graceful=False)
-        cluster.add_node(num_cpus=1, object_store_memory=80 << 20)
 
     threading.Thread(target=lose_a_machine, daemon=True).start()
     results, seconds = run(suite, out, RayPool(SMALL, address=cluster.address))
