@@ -7,12 +7,13 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ggwarp.suite.definition import Suite, SuiteError, load_suite
+    from ggwarp.suite.definition import Suite, SuiteError
     from ggwarp.suite.execution import execute, open_site
     from ggwarp.suite.job import Job, Resources
     from ggwarp.suite.pool import LocalPool, Pool
     from ggwarp.suite.ray_pool import RayPool
     from ggwarp.suite.results import Results
+    from ggwarp.suite.suite_file import load_suite
 
 __all__ = [
     "Job",
@@ -29,11 +30,12 @@ __all__ = [
 ]
 
 _HOMES = {
-    **dict.fromkeys(["Suite", "SuiteError", "load_suite"], "definition"),
+    **dict.fromkeys(["Suite", "SuiteError"], "definition"),
     **dict.fromkeys(["Job", "Resources"], "job"),
     **dict.fromkeys(["LocalPool", "Pool"], "pool"),
     "RayPool": "ray_pool",
     "Results": "results",
+    "load_suite": "suite_file",
     **dict.fromkeys(["execute", "open_site"], "execution"),
 }
 

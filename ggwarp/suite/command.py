@@ -21,13 +21,14 @@ from ggwarp.interruption import Interruption
 from ggwarp.io.printable import printable
 from ggwarp.suite.attempts import Site, known_record
 from ggwarp.suite.choosing import choose, write_choice
-from ggwarp.suite.definition import SHIPPED, Choice, Suite, SuiteError, load_suite
+from ggwarp.suite.definition import SHIPPED, Choice, Suite, SuiteError
 from ggwarp.suite.execution import execute, open_site
 from ggwarp.suite.job import Resources
 from ggwarp.suite.pool import LocalPool, Pool, cores
 from ggwarp.suite.reporting.comparison import compare
 from ggwarp.suite.reporting.files import write_files
 from ggwarp.suite.results import Results, load_results
+from ggwarp.suite.suite_file import load_suite
 
 DONE, FAILED, USER_ERROR = 0, 1, 2
 

@@ -15,11 +15,12 @@ import pytest
 
 from ggwarp.console import Verbosity, open_display
 from ggwarp.results.metrics import RESULTS
-from ggwarp.suite.definition import Sequence, Suite, load_suite
+from ggwarp.suite.definition import Sequence, Suite
 from ggwarp.suite.execution import execute, open_site
 from ggwarp.suite.job import Resources
 from ggwarp.suite.pool import LocalPool
 from ggwarp.suite.results import Results
+from ggwarp.suite.suite_file import load_suite
 
 TIMES = {*RESULTS["pace"], *RESULTS["time and memory"]} - {"iterations_per_frame"}
 SMALL = Resources(cpus=1, gpus=0.0, memory_gb=0.2)

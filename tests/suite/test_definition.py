@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 
 from ggwarp.config.command_line import parse
-from ggwarp.suite.definition import SHIPPED, SuiteError, load_suite, suite_of
+from ggwarp.suite.definition import SHIPPED, SuiteError
 from ggwarp.suite.reporting.published import load_published
+from ggwarp.suite.suite_file import load_suite, suite_of
 
 SUITE = """
 title = "Mine"

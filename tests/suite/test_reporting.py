@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ggwarp.suite.choosing import choose, write_choice
-from ggwarp.suite.definition import Choice, SuiteError, load_suite
+from ggwarp.suite.definition import Choice, SuiteError
 from ggwarp.suite.reporting.comparison import compare, sign_flip_p
 from ggwarp.suite.reporting.files import write_files
 from ggwarp.suite.reporting.page import page
@@ -18,6 +18,7 @@ from ggwarp.suite.reporting.published import load_published
 from ggwarp.suite.reporting.rows import number
 from ggwarp.suite.reporting.writers import latex, markdown
 from ggwarp.suite.results import Results, RunResult, load_results
+from ggwarp.suite.suite_file import load_suite
 
 REASON = "exit code 1: <b>50 % | of & $frames</b>"
 
