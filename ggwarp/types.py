@@ -236,6 +236,8 @@ class StepReport:
         loss: mean mapping loss over this frame's iterations; nan when there was none.
         latency_ms: from the frame's arrival to its pose, milliseconds; but for live mode a frame arrives when
             the tracker takes it up.
+        position_std_mm: the largest standard deviation of its position that tracking states; inf: it is not
+            determined; nan: not stated.
         late_ms: how long after its arrival a busy system took the frame up, milliseconds (live mode).
         frames_behind: newer frames that had arrived by then.
         loop_ms: of ``tracking_ms``, spent on looking for loops and on closing them.
@@ -263,3 +265,4 @@ class StepReport:
     loop_ms: float = 0.0
     loop_with: int | None = None
     loop_moved_cm: float | None = None
+    position_std_mm: float = float("nan")

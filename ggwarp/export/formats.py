@@ -123,6 +123,12 @@ FORMATS: dict[str, Format] = {
         "z-up",
         ("recordings", "write_nerfstudio"),
     ),
+    "film": Format(
+        "the map along the run's path, 20 seconds at most, as animated WebP: browsers, chats",
+        ".webp",
+        "y-down",
+        ("film", "write_film"),
+    ),
     "rrd": Format(
         "a recording for the rerun viewer: map, path, boxes, figures",
         ".rrd",

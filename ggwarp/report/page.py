@@ -24,13 +24,14 @@ FILE = "report.html"
 
 _PICTURE_BYTES = 2_500_000  # of all pictures of frames: a page has 5 MB at most, and text takes a third more
 _CROP_BYTES = 400_000
-_MOST_REASONS = 12
+_MOST_REASONS = 5
 _PLAN = ("layout", "frames", "pairing", "camera", "depth", "masks", "truth")
 
 CHARTS: tuple[tuple[str, str, tuple[tuple[str, str], ...]], ...] = (
     ("Time", "ms", (("tracking_ms", "tracking"), ("mapping_ms", "mapping"))),
     ("Overlap with the map", "share", (("overlap", "overlap"),)),
     ("Position error, aligned", "cm", (("ate_cm", "error"),)),
+    ("Uncertainty of the position, as stated", "mm", (("position_std_mm", "standard deviation"),)),
     ("Depth noise, and misfit of the points", "mm", (("depth_noise_mm", "noise"), ("rmse_mm", "misfit"))),
     ("PSNR", "dB", (("psnr", "as it is"), ("psnr_exposed", "exposure fitted"))),
     ("SSIM", "", (("ssim", "SSIM"),)),
@@ -129,6 +130,9 @@ def _warnings(run: RunData) -> Iterator[str]:
     table_ = run.frames
     rows = zip(table_.text("index"), table_.text("verdict"), table_.text("reason"), strict=True)
     bad = [(index, verdict, reason) for index, verdict, reason in rows if verdict in ("lost", "skipped")]
+    if len(bad) > _MOST_REASONS:
+        lost = sum(verdict == "lost" for _, verdict, _ in bad)
+        yield f"{lost} frames lost, {len(bad) - lost} skipped, of {len(table_)}; the first ones:"
     for index, verdict, reason in bad[:_MOST_REASONS]:
         yield f"frame {index} {verdict}: {reason}"
     if len(bad) > _MOST_REASONS:

@@ -54,6 +54,7 @@ FRAME_COLUMNS: tuple[str, ...] = (
     "overlap",
     "rmse_mm",
     "depth_noise_mm",
+    "position_std_mm",
     "keyframe",
     "tracking_ms",
     "mapping_ms",

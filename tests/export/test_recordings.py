@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from ggwarp.datasets import open_dataset
 from ggwarp.editing.map_view import MapView
@@ -59,6 +60,17 @@ def test_pycolmap_reads_it(run_folder: Path, scene) -> None:
         picture = cv2.imread(str(folder / "images" / image.name))
         b, g, r = picture[int(v), int(u)].astype(int)
         assert r > 2 * g and r > 2 * b
+
+
+def test_a_film_shows_the_path(run_folder: Path, scene) -> None:
+    assert main([str(run_folder), "--up", "-y", "--to", "film"]) == 0
+    film = Image.open(run_folder / "export" / "map.webp")
+    assert (film.n_frames, film.size) == (5, (96, 64))  # type: ignore[attr-defined]
+    _, poses = read_tum(run_folder / "trajectory.txt")
+    for number in (0, 3):
+        film.seek(number)
+        seen = MapView(scene, CAMERA).render(poses[number]).rgb
+        assert decibels(np.asarray(film.convert("RGB")) / 255.0, seen) > 25.0
 
 
 def test_rerun_log_is_written_with_every_frame(run_folder: Path) -> None:
