@@ -16,7 +16,8 @@ import pytest
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 _SOFTWARE_WEBGL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 _CONSOLE = re.compile(r"CONSOLE[^\]]*\]\s*(.*)")
-_PATIENCE = 120_000.0  # milliseconds: a busy machine draws a picture of WebGL in many seconds
+PATIENCE = 120_000.0
+"""Milliseconds: a busy machine draws a picture of WebGL in many seconds."""
 
 
 def find_browser() -> str:
@@ -37,7 +38,7 @@ def open_browser(width: int = 1280, height: int = 800) -> Iterator[Any]:
         browser = driver.chromium.launch(executable_path=path, args=arguments)
         try:
             page = browser.new_page(viewport={"width": width, "height": height})
-            page.context.set_default_timeout(_PATIENCE)
+            page.context.set_default_timeout(PATIENCE)
             yield page
         finally:
             browser.close()

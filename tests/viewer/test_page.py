@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
+from browser import PATIENCE as BROWSER_PATIENCE
 from browser import find_browser, open_browser
 from ggwarp import run
 from ggwarp.datasets import open_dataset
@@ -139,6 +140,7 @@ def test_a_scene_is_one_file_that_needs_no_network(opened, office, tmp_path):
     tab = opened.tab.context.browser.new_context(
         viewport={"width": WIDTH, "height": HEIGHT}, offline=True
     ).new_page()
+    tab.set_default_timeout(BROWSER_PATIENCE)
     tab.on("request", lambda request: asked.append(request.url))
     tab.goto(path.as_uri())
     quality = quality_of(tab, ours.rgb)
