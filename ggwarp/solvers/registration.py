@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ggwarp.kernels.registration import covariance, gicp, gicp_loop, hash_grid
+from ggwarp.kernels.registration import covariance, gicp, gicp_loop, gicp_pairs, hash_grid
 from ggwarp.runtime.graphs import GraphCache
 from ggwarp.runtime.state import FrameSource, State, Stateful
 from ggwarp.runtime.streams import to_host
@@ -23,6 +23,9 @@ _POSE = 16
 """Numbers of a pose."""
 
 _GROWTH = 1.5
+
+_MEDIAN_CHI2 = 0.455
+"""Median of the chi-squared distribution of one degree of freedom."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +90,7 @@ class Registration:
         information: [6, 6] float64, H at the last linearisation: the inverse covariance of the pose in
             the camera, (translation, rotation), if the points' covariances are those of their noise.
         across: [6, 6] float64, the part of it that surfaces say where they face, at the pose found: without
-            what lies along them; see :func:`ggwarp.kernels.registration.gicp.fix_across`.
+            what lies along them; see :func:`ggwarp.kernels.registration.gicp_pairs.fix_across`.
         cost: robust cost there.
         matched: matched pairs there.
         converged: whether the last stage's last step was below its tolerance.
@@ -180,7 +183,7 @@ class Registrar(Stateful):
         else:
             self._run([stage.thinning for stage in stages], cloud.count)
         if stages:
-            gicp.fix_across(
+            gicp_pairs.fix_across(
                 self._arrays.problem,
                 self._arrays.stages,
                 stage=len(stages) - 1,
@@ -192,6 +195,34 @@ class Registrar(Stateful):
                 device=self._device,
             )
         return self._result()
+
+    def residual_scale(
+        self, cloud: Cloud, target: RegistrationTarget, T_wc: Float64, *, radius: float
+    ) -> float:
+        """Return how large the points' residuals are, as a share of what their covariances let expect.
+
+        From the median, which the farther half of them does not reach: 1 where noise is what it is taken for;
+        the residual of two surfaces has one degree of freedom. inf where half the points have no match.
+
+        Args:
+            T_wc: [4, 4] camera-to-world.
+            radius: farthest match, metres.
+        """
+        self._reserve(cloud.count, 0)
+        self._load(cloud, target, T_wc, [])
+        gicp_pairs.pair_residuals(
+            self._arrays.problem,
+            self._arrays.pose,
+            count=cloud.count,
+            radius=radius,
+            residuals2=self._residuals2,
+            device=self._device,
+        )
+        if not cloud.count:
+            return float("inf")
+        # Of an even number the higher one: the mean with an inf would be one.
+        found = np.partition(to_host(self._residuals2[: cloud.count]), cloud.count // 2)
+        return float(np.sqrt(found[cloud.count // 2] / _MEDIAN_CHI2))
 
     def _run(self, thinnings: Sequence[int], count: int) -> None:
         for stage, thinning in enumerate(thinnings):
@@ -214,6 +245,7 @@ class Registrar(Stateful):
         pose = wp.array(ptr=self._numbers.ptr, dtype=matrix, shape=1, device=self._device)
         pose._ref = self._numbers
         self._across = self._numbers[-gicp.SUMS :]
+        self._residuals2 = zeros(max(1, points), wp.float32)
         rows = max(1, gicp.block_count(self._room[0], self._device))
         self._arrays = gicp_loop.LoopArrays(
             problem=zeros(1, gicp.Problem),

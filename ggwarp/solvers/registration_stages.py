@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from ggwarp.solvers.registration import RegistrationStage
+from ggwarp.solvers.registration import Cloud, Registrar, Registration, RegistrationStage, RegistrationTarget
+from ggwarp.types import Float64
 
 REACH = 1.5
 """No search for a match ends below so many spacings of points: sparse points always leave a gap."""
@@ -24,13 +25,42 @@ _ROBUST_SCALE = 3.0
 """Standard deviations at which Geman-McClure's kernel halves a residual's share of the cost in the last
 stage; wider in coarse stages, in the ratio of their radii."""
 
+_LEAST_SCALE = 0.02
+"""Residuals are not taken for smaller than this share of what covariances let expect."""
 
-def coarse_to_fine_stages(spacing: float) -> list[RegistrationStage]:
-    """Return the stages for points that lie ``spacing`` metres apart."""
+
+def register_coarse_to_fine(
+    registrar: Registrar, cloud: Cloud, target: RegistrationTarget, T_start: Float64, spacing: float
+) -> Registration:
+    """Register from ``T_start`` [4, 4], and once more from there, by how far off most points lie then.
+
+    What moves stands out by that: half the points lie on what stands still, and where motion is foreseen well
+    they do so from the first.
+
+    Args:
+        spacing: between the points, metres.
+    """
+    fine = max(RADII[-1], REACH * spacing)
+    scale = registrar.residual_scale(cloud, target, T_start, radius=fine)
+    found = registrar.register(cloud, target, T_start, coarse_to_fine_stages(spacing, scale))
+    scale = registrar.residual_scale(cloud, target, found.T_wc, radius=fine)
+    return registrar.register(cloud, target, found.T_wc, coarse_to_fine_stages(spacing, scale)[-1:])
+
+
+def coarse_to_fine_stages(spacing: float, residual_scale: float = 1.0) -> list[RegistrationStage]:
+    """Return the stages for points that lie ``spacing`` metres apart.
+
+    Args:
+        residual_scale: how large residuals are where the search starts; see
+            :meth:`ggwarp.solvers.registration.Registrar.residual_scale`.
+    """
     *coarse, fine = [max(radius, REACH * spacing) for radius in RADII]
     *coarse_iterations, fine_iterations = _ITERATIONS
+    seen = _ROBUST_SCALE * max(residual_scale, _LEAST_SCALE)
     stages = [
-        RegistrationStage(radius, n, _COARSE_TOLERANCE, _ROBUST_SCALE * radius / fine, _COARSE_THINNING)
+        RegistrationStage(
+            radius, n, _COARSE_TOLERANCE, min(_ROBUST_SCALE * radius / fine, seen), _COARSE_THINNING
+        )
         for radius, n in zip(coarse, coarse_iterations, strict=True)
     ]
-    return [*stages, RegistrationStage(fine, fine_iterations, _TOLERANCE, _ROBUST_SCALE)]
+    return [*stages, RegistrationStage(fine, fine_iterations, _TOLERANCE, min(_ROBUST_SCALE, seen))]

@@ -37,6 +37,7 @@ SCRATCH = {
     "GaussianOptimiser._workspace",
     "ExposureModel._workspace",
     "ExposureModel.image",
+    "Registrar._residuals2",
     "Covisibility._flags",
     "Classifier._d_weights",
     "Classifier._d_biases",

@@ -7,11 +7,8 @@ import warp as wp
 
 from benchmarking.inputs.walls import walls_cloud, walls_target
 from ggwarp.geometry import se3
-from ggwarp.solvers.registration import (
-    Registrar,
-    RegistrationStage,
-    register,
-)
+from ggwarp.solvers.registration import Cloud, Registrar, RegistrationStage, register
+from ggwarp.solvers.registration_stages import coarse_to_fine_stages, register_coarse_to_fine
 
 STAGES = [RegistrationStage(0.3, 6, 1e-3, 30.0, thinning=3), RegistrationStage(0.08, 15, 1e-6, 3.0)]
 
@@ -46,3 +43,42 @@ def test_nothing_to_register(rng, device, recorded):
             found = registrar.register(points, walls_target(rng, 100, device), T_start, stages)
             np.testing.assert_allclose(found.T_wc, T_start, atol=1e-12)
             assert found.matched == 0 and not found.information.any()
+
+
+def test_residuals_are_as_large_as_half_the_points_say(rng, device):
+    target, registrar = walls_target(rng, 4000, device), Registrar(device=device)
+    seen = walls_cloud(rng, 2000, np.eye(4), device)
+    still = registrar.residual_scale(seen, target, np.eye(4), radius=0.08)
+    off = registrar.residual_scale(seen, target, se3.se3_exp([0.02, 0.02, 0.02, 0, 0, 0]), radius=0.08)
+    assert still < 0.3 * off
+    # Two of five points move, and nothing is seen of it.
+    points = seen.points.numpy()
+    points[::5] += 0.03
+    points[1::5] -= 0.03
+    moving = Cloud(wp.array(points, dtype=wp.vec3, device=device), seen.covariances)
+    assert registrar.residual_scale(moving, target, np.eye(4), radius=0.08) < 3.0 * still
+    nowhere = se3.se3_exp([50.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    assert registrar.residual_scale(seen, target, nowhere, radius=0.08) == np.inf
+
+
+def test_what_moves_does_not_take_the_pose_along(rng, device):
+    target, registrar = walls_target(rng, 4000, device), Registrar(device=device)
+    seen = walls_cloud(rng, 2000, np.eye(4), device)
+    points = seen.points.numpy()
+    points[: len(points) // 3] += 0.02
+    moving = Cloud(wp.array(points, dtype=wp.vec3, device=device), seen.covariances)
+    found = register_coarse_to_fine(registrar, moving, target, np.eye(4), 0.03)
+    errors = [np.linalg.norm(se3.se3_log(found.T_wc))]
+    believed = registrar.register(moving, target, np.eye(4), coarse_to_fine_stages(0.03))
+    errors.append(np.linalg.norm(se3.se3_log(believed.T_wc)))
+    assert errors[0] < 2e-3 and errors[0] <= errors[1]
+
+
+def test_kernels_are_as_wide_as_what_is_seen_and_no_wider_than_noise():
+    usual, wide, narrow, none = (
+        [stage.robust_scale for stage in coarse_to_fine_stages(0.01, scale)]
+        for scale in (np.inf, 20.0, 0.5, 0.0)
+    )
+    assert usual == wide == pytest.approx([30.0, 10.0, 3.0])
+    assert narrow == [1.5] * 3
+    assert all(0.0 < scale < 0.1 for scale in none)

@@ -101,6 +101,24 @@ class StageSettings:
     thinning: int
 
 
+@wp.func
+def matched_pair(problem: Problem, i: int, pose: wp.mat44d, radius: float):
+    """Return where point i's match is in the grid's order, -1 for none; e_i and M_i."""
+    R = rotation_d(pose)
+    Rt = wp.transpose(R)
+    t = translation_d(pose)
+    a = to_double(problem.points[i])
+    q = R * a + t
+    j, _d2 = nearest_in_grid(problem.grid, wp.vec3(float(q[0]), float(q[1]), float(q[2])), radius)
+    e = wp.vec3d()
+    M = wp.mat33d()
+    if j >= 0:
+        e = Rt * (to_double(problem.grid.points[j]) - t) - a
+        B = matrix_to_double(problem.grid_covariances[j])
+        M = wp.inverse(Rt * B * R + matrix_to_double(problem.covariances[i]))
+    return j, e, M
+
+
 @wp.kernel
 def _linearise(
     offset: int,
@@ -115,22 +133,13 @@ def _linearise(
     problem = problems[0]
     settings = stages[stage]
     scale2 = settings.robust_scale * settings.robust_scale
-    R = rotation_d(pose[0])
-    Rt = wp.transpose(R)
-    t = translation_d(pose[0])
     used = (problem.points.shape[0] + settings.thinning - 1) / settings.thinning
     total = vec29d()
     for place in range(block * per_block, wp.min((block + 1) * per_block, used)):
         i = place * settings.thinning
-        a = to_double(problem.points[i])
-        q = R * a + t
-        j, _d2 = nearest_in_grid(
-            problem.grid, wp.vec3(float(q[0]), float(q[1]), float(q[2])), settings.radius
-        )
+        j, e, M = matched_pair(problem, i, pose[0], settings.radius)
         if j >= 0:
-            e = Rt * (to_double(problem.grid.points[j]) - t) - a
-            B = matrix_to_double(problem.grid_covariances[j])
-            M = wp.inverse(Rt * B * R + matrix_to_double(problem.covariances[i]))
+            a = to_double(problem.points[i])
             Me = M * e
             e2 = wp.dot(e, Me)
             w = robust_weight(e2, scale2)
@@ -156,67 +165,6 @@ def _linearise(
                 total[24 + r] += w * torque[r]
             total[27] += e2 * wp.sqrt(w)
             total[28] += wp.float64(1.0)
-    for k in range(wp.static(SUMS)):
-        sums[block, k] = total[k]
-
-
-@wp.kernel
-def _fix_across(
-    offset: int,
-    problems: wp.array[Problem],
-    stages: wp.array[StageSettings],
-    stage: int,
-    per_block: int,
-    pose: wp.array[wp.mat44d],
-    sums: wp.array2d[wp.float64],
-):
-    block = offset + wp.tid()
-    problem = problems[0]
-    settings = stages[stage]
-    scale2 = settings.robust_scale * settings.robust_scale
-    R = rotation_d(pose[0])
-    Rt = wp.transpose(R)
-    t = translation_d(pose[0])
-    total = vec29d()
-    for i in range(block * per_block, wp.min((block + 1) * per_block, problem.points.shape[0])):
-        a = to_double(problem.points[i])
-        q = R * a + t
-        j, _d2 = nearest_in_grid(
-            problem.grid, wp.vec3(float(q[0]), float(q[1]), float(q[2])), settings.radius
-        )
-        if j >= 0:
-            e = Rt * (to_double(problem.grid.points[j]) - t) - a
-            A = matrix_to_double(problem.covariances[i])
-            M = wp.inverse(Rt * matrix_to_double(problem.grid_covariances[j]) * R + A)
-            e2 = wp.dot(e, M * e)
-            P = wp.inverse(A)
-            # The normal: the inverse's first axis, which is far ahead of the others.
-            n = wp.vec3d(P[0, 0], P[1, 0], P[2, 0])
-            if P[1, 1] > P[0, 0] and P[1, 1] >= P[2, 2]:
-                n = wp.vec3d(P[0, 1], P[1, 1], P[2, 1])
-            elif P[2, 2] > P[0, 0]:
-                n = wp.vec3d(P[0, 2], P[1, 2], P[2, 2])
-            n = wp.normalize(P * wp.normalize(P * wp.normalize(n)))
-            precision = wp.dot(n, P * n)
-            N = wp.outer(n, n)
-            # The normal is known to its own covariance: what that adds to n n^T is nothing that was seen.
-            tilt = (P - precision * N) / precision
-            W = robust_weight(e2, scale2) * wp.dot(n, M * n) * (N - tilt)
-            C = wp.skew(a)
-            WC = W * C
-            CWC = C * WC
-            k = int(0)
-            for r in range(3):
-                for c in range(r, 3):
-                    total[k] += W[r, c]
-                    k += 1
-                for c in range(3):
-                    total[k] -= WC[r, c]
-                    k += 1
-            for r in range(3):
-                for c in range(r, 3):
-                    total[k] -= CWC[r, c]
-                    k += 1
     for k in range(wp.static(SUMS)):
         sums[block, k] = total[k]
 
@@ -274,7 +222,7 @@ def linearise(
         folded: [F, SUMS] float64, scratch.
         system: [SUMS] float64, written; see :data:`SUMS`.
     """
-    _sum_blocks(
+    sum_blocks(
         _linearise,
         block_count(count, device),
         inputs=[problem, stages, stage, points_per_block(device), pose],
@@ -285,41 +233,7 @@ def linearise(
     )
 
 
-def fix_across(
-    problem: Any,
-    stages: Any,
-    *,
-    stage: int,
-    count: int,
-    pose: Any,
-    sums: Any,
-    folded: Any,
-    system: Any,
-    device: Any,
-) -> None:
-    """Sum what the pairs' surfaces say of the pose where they face, and nothing of what lies along them.
-
-    Of each pair it is w (n^T M n) (n n^T - T), n being the normal of the frame's point and T the normal's
-    covariance, by the point's: ellipses are held along their surfaces, and normals err, but neither fixes a
-    pose before a wall.
-
-    Args:
-        problem, stages, stage, pose, sums, folded, device: see :func:`linearise`; all points are used.
-        count: the problem's points.
-        system: [SUMS] float64, written: as H there, the rest 0. Not positive definite where nothing is seen.
-    """
-    _sum_blocks(
-        _fix_across,
-        block_count(count, device),
-        inputs=[problem, stages, stage, points_per_block(device), pose],
-        sums=sums,
-        folded=folded,
-        system=system,
-        device=device,
-    )
-
-
-def _sum_blocks(
+def sum_blocks(
     kernel: Any, rows: int, *, inputs: list[Any], sums: Any, folded: Any, system: Any, device: Any
 ) -> None:
     launch_split(kernel, rows, inputs=inputs, outputs=[sums], device=device, min_piece=4)

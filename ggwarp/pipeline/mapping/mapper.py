@@ -19,12 +19,6 @@ from ggwarp.map.renderer import Renderer
 from ggwarp.map.surface_density import surface_density
 from ggwarp.objects.mask_supervision import SupervisionConfig
 from ggwarp.objects.object_learning import ObjectLearning
-from ggwarp.pipeline.mapping.contradiction import (
-    Bools,
-    MovingPixels,
-    unusable,
-    without_pixels,
-)
 from ggwarp.pipeline.mapping.densification import RESET_OPACITY, lower_opacities
 from ggwarp.pipeline.mapping.depth_completion import DepthCompletion
 from ggwarp.pipeline.mapping.exposure import ExposureModel
@@ -37,6 +31,8 @@ from ggwarp.pipeline.mapping.seeding import (
     seed_density,
     seed_gaussians,
 )
+from ggwarp.pipeline.mapping.unusable_pictures import unusable
+from ggwarp.pipeline.moving_pixels import Bools, MovingPixels, without_pixels
 from ggwarp.runtime.state import Stateful
 from ggwarp.runtime.streams import to_host
 from ggwarp.types import Exposure, Float64, Frame, Rendered
@@ -233,7 +229,7 @@ class Mapper(Stateful):
             if (motion != np.eye(4)).any():
                 self._keyframes.set_pose(number, motion @ self._keyframes.pose(number))
         if self._moving is not None:
-            self._moving.move(motions)
+            self._moving.move(lambda number: motions[number])
         fields = self.map.fields
         move_gaussians(
             wp.array(motions.astype(np.float32), dtype=wp.mat44, device=self._device),

@@ -24,7 +24,7 @@ from ggwarp.solvers.registration import (
     build_target,
     match_distances2,
 )
-from ggwarp.solvers.registration_stages import RADII, REACH, coarse_to_fine_stages
+from ggwarp.solvers.registration_stages import RADII, REACH, register_coarse_to_fine
 from ggwarp.types import Float32, Float64, Frame, FramePoints, MapSnapshot, TrackResult, Verdict, overlap_of
 
 OVERLAP_DISTANCE = 0.0316
@@ -40,11 +40,8 @@ _MIN_POINTS = 200
 _FREE = 1.0
 """A position that is more uncertain may be anywhere, metres."""
 
-_LOST_OVERLAP = 0.2
-"""A frame with a smaller share of points that lie on the map is lost."""
-
-_POOR_OVERLAP = 0.4
-"""A frame with a smaller share of matched points is poor."""
+_LOST_OVERLAP, _POOR_OVERLAP = 0.2, 0.4
+"""A frame with a smaller share of points that lie on the map is lost, and poor."""
 
 _MAX_JUMP, _MAX_TURN = 0.5, 0.6
 """A frame farther from its prediction is a jump, and poor at best, metres and radians."""
@@ -108,16 +105,11 @@ class GicpTracker(Stateful):
         return _result(self._motion.T_wc, np.eye(4), seen, None)
 
     def track(self, frame: Frame, target: MapSnapshot) -> TrackResult:
-        """Return the pose of the next frame.
-
-        Raises:
-            RuntimeError: there was no :meth:`start`.
-        """
-        if self._motion is None:
-            raise RuntimeError("track() before start(): the first frame's pose must be given")
+        """Return the pose of the next frame; RuntimeError: there was no :meth:`start`."""
+        predicted = self.predicted = self.predict(frame)
+        assert self._motion is not None
         seen = self._seen = self._observe(frame)
         self._before, self.registration, self.information = self._motion, None, np.zeros((6, 6))
-        predicted = self.predicted = self._motion.predict(depth_time(frame))
         if seen.count < _MIN_POINTS:
             return self._lose(frame, predicted, seen, None, self._too_few(seen))
         self._aim(target, seen.spacing)
@@ -128,6 +120,18 @@ class GicpTracker(Stateful):
         self._motion = self._motion.updated(found.fit.T_wc, depth_time(frame))
         self._relocaliser.remember(frame, found.fit.T_wc)
         return self._registered(frame, seen, found, verdict, reason)
+
+    def predict(self, frame: Frame) -> Float64:
+        """Return where the camera's motion lets expect it, [4, 4], when the depth of ``frame`` was taken."""
+        if self._motion is None:
+            raise RuntimeError("track() before start(): the first frame's pose must be given")
+        return self._motion.predict(depth_time(frame))
+
+    def track_again(self, frame: Frame, target: MapSnapshot) -> TrackResult:
+        """Return the pose of the last frame once more: ``frame`` has other readings now."""
+        assert self._before is not None
+        self._motion = self._before
+        return self.track(frame, target)
 
     def register_again(self, frame: Frame, T_wc: Float64) -> TrackResult:
         """Register the last frame, ``frame``, once more, with its colour from about ``T_wc`` [4, 4].
@@ -221,7 +225,7 @@ class GicpTracker(Stateful):
 
     def _fit(self, seen: Observation, T_start: Float64) -> _RegisteredPose:
         assert self._target is not None
-        fit = self._registrar.register(seen.cloud, self._target, T_start, coarse_to_fine_stages(seen.spacing))
+        fit = register_coarse_to_fine(self._registrar, seen.cloud, self._target, T_start, seen.spacing)
         return _RegisteredPose(fit, self._distances2(seen, fit.T_wc))
 
     def _distances2(self, seen: Observation, T_wc: Float64) -> Float32:

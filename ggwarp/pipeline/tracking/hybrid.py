@@ -12,6 +12,7 @@ from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from ggwarp.geometry.pose_correction import PoseCorrection
 from ggwarp.geometry.uncertainty import loosened, position_std
+from ggwarp.pipeline.moving_pixels import Bools, FreeSpace, without_pixels
 from ggwarp.pipeline.tracking.gicp import MAX_POSITION_STD, GicpConfig, GicpTracker
 from ggwarp.pipeline.tracking.motion_model import depth_time
 from ggwarp.pipeline.tracking.reference_views import ReferenceViews, View
@@ -44,6 +45,12 @@ _FORGETTING = 0.1
 _MAX_STD = 0.02
 """Nor does one that leaves the position more uncertain along some direction, metres."""
 
+_MOST_MOVED = 0.5
+"""Where more of a frame's readings seem to have moved, it is the pose that is wrong."""
+
+_FEW_MOVED = 0.01
+"""A smaller share of a frame is not worth another registration."""
+
 
 class HybridTracker(Stateful):
     """One estimate from depth and colour, each weighed by what it leaves uncertain.
@@ -53,7 +60,7 @@ class HybridTracker(Stateful):
     on all sides colour has nothing to add, and is not asked; on a wall, or with a Kinect, it has.
     """
 
-    STATE = ("_gicp", "_views", "_cost")
+    STATE = ("_gicp", "_views", "_cost", "_free_space")
     needs_gaussians = False
 
     def __init__(
@@ -63,11 +70,12 @@ class HybridTracker(Stateful):
         self._gicp = GicpTracker(gicp, sensor_camera, device=device)
         self._views = ReferenceViews(camera, device=device)
         self._cost = _MAX_COST
+        self._free_space = FreeSpace(camera)
 
     def start(self, frame: Frame, T_wc: Float64) -> TrackResult:
         """Take the first frame, whose pose [4, 4] is given."""
         result = self._gicp.start(frame, T_wc)
-        return result if result.verdict is Verdict.LOST else self._remembered(frame, result)
+        return result if result.verdict is Verdict.LOST else self._remembered(frame, frame, result)
 
     def track(self, frame: Frame, target: MapSnapshot) -> TrackResult:
         """Return the pose of the next frame.
@@ -75,25 +83,52 @@ class HybridTracker(Stateful):
         Raises:
             RuntimeError: there was no :meth:`start`.
         """
-        result = self._gicp.track(frame, target)
+        still, result = self._registered(frame, target)
+        result = self._aligned(still, result)
+        return result if result.verdict is Verdict.LOST else self._remembered(frame, still, result)
+
+    def _registered(self, frame: Frame, target: MapSnapshot) -> tuple[Frame, TrackResult]:
+        """Return ``frame`` without the readings of what moves, and its registration."""
+        moved = self._moving_pixels(frame, self._gicp.predict(frame))
+        still = without_pixels(frame, moved)
+        result = self._gicp.track(still, target)
+        if still is frame or result.verdict is Verdict.LOST:
+            return still, result
+        # Edges seem to move where the motion was not foreseen.
+        again = self._moving_pixels(frame, result.T_wc)
+        if np.count_nonzero(moved != again) > _FEW_MOVED * moved.size:
+            still = without_pixels(frame, again)
+            result = self._gicp.track_again(still, target)
+        return still, result
+
+    def _moving_pixels(self, frame: Frame, T_wc: Float64) -> Bools:
+        """Return the pixels [h, w] that move if the camera is at ``T_wc`` [4, 4]."""
+        assert frame.depth is not None, "tracked by depth"
+        moved = self._free_space.seen_through(frame.depth, T_wc)
+        readings = np.count_nonzero(frame.depth > 0.0)
+        if np.count_nonzero(moved & (frame.depth > 0.0)) > _MOST_MOVED * readings:
+            return np.zeros_like(moved)
+        return moved
+
+    def _aligned(self, frame: Frame, result: TrackResult) -> TrackResult:
+        """Return ``result`` by colour, too, where depth leaves the pose uncertain."""
         lost = result.verdict is Verdict.LOST
         # A lost frame's registration may have ended anywhere that geometry allows.
         prior = None if lost else self._prior(frame, result)
         if prior is not None and position_std(prior.information) <= _SURE_POSITION_STD:
-            return self._remembered(frame, result)
+            return result
         T_start = result.T_wc if prior is None else self._expected(frame, prior)
         views = self._views.compared(frame, T_start)
         found = self._views.align(frame, T_start, views, prior)
         if prior is not None and found.system.mean_cost > _DOUBTFUL * self._cost:
             result, found = self._by_colour_first(frame, result, views, found)
         if self._objection(found):
-            held = self._held_by_motion(frame, result, T_start)
-            return result if lost else self._remembered(frame, held)
+            return self._held_by_motion(frame, result, T_start)
         self._cost += _FORGETTING * (found.system.mean_cost - self._cost)
         verdict, reason = self._verdict(result, found)
         T_wc, exposure = se3.inverse(found.T_cw), self._views.exposure(found, views)
         self._gicp.correct(frame, T_wc)
-        result = dataclasses.replace(
+        return dataclasses.replace(
             result,
             T_wc=T_wc,
             verdict=verdict,
@@ -101,7 +136,6 @@ class HybridTracker(Stateful):
             exposure=exposure,
             information=found.information,
         )
-        return self._remembered(frame, result)
 
     def _by_colour_first(
         self, frame: Frame, result: TrackResult, views: list[View], found: Alignment
@@ -133,9 +167,13 @@ class HybridTracker(Stateful):
         """Follow the map, which a closed loop has moved; ``index``: of the last frame."""
         self._gicp.on_map_moved(correction, index)
         self._views.move(correction)
+        self._free_space.move(correction.at([index])[0])
 
-    def _remembered(self, frame: Frame, result: TrackResult) -> TrackResult:
-        self._views.add_if_new(frame, result.T_wc, result.exposure)
+    def _remembered(self, frame: Frame, still: Frame, result: TrackResult) -> TrackResult:
+        """Keep what later frames need of ``frame``, of which ``still`` does not move; return ``result``."""
+        self._views.add_if_new(frame, still, result.T_wc, result.exposure)
+        assert still.depth is not None, "tracked by depth"
+        self._free_space.add(still.depth, result.T_wc)
         return result
 
     def _objection(self, found: Alignment) -> str:

@@ -49,12 +49,14 @@ class View:
     """A picture with depth.
 
     Attributes:
-        frame: with depth.
+        frame: it, as it was taken.
+        depth: [h, w] metres, 0 = none: its own, without what moves.
         T_wc: [4, 4] camera-to-world.
         exposure: (a, b): the picture is e^a x + b, x being as the first view has it.
     """
 
     frame: Frame
+    depth: Float32
     T_wc: Float64
     exposure: tuple[float, float]
 
@@ -103,12 +105,17 @@ class ReferenceViews(Stateful):
         (a, b), (a_view, b_view) = found.exposure, views[0].exposure
         return Exposure.uniform(a + a_view, float(np.exp(a)) * b_view + b)
 
-    def add_if_new(self, frame: Frame, T_wc: Float64, exposure: Exposure | None) -> None:
-        """Take ``frame`` at ``T_wc`` [4, 4] as a view if it sees too little of the latest."""
-        if self._views and self.share_seen(self._views[-1], frame, T_wc) >= _NEW_VIEW:
+    def add_if_new(self, frame: Frame, still: Frame, T_wc: Float64, exposure: Exposure | None) -> None:
+        """Take ``frame`` at ``T_wc`` [4, 4] as a view if it sees too little of the latest.
+
+        Args:
+            still: it, without the readings of what moves.
+        """
+        assert still.depth is not None, "tracked by depth"
+        if self._views and self.share_seen(self._views[-1], still, T_wc) >= _NEW_VIEW:
             return
         a_b = (0.0, 0.0) if exposure is None else (exposure.log_gain[0], exposure.offset[0])
-        self._views = [*self._views, View(frame, np.array(T_wc), a_b)][-_KEPT:]
+        self._views = [*self._views, View(frame, still.depth, np.array(T_wc), a_b)][-_KEPT:]
         kept = {view.frame.index for view in self._views}
         self._prepared = {index: made for index, made in self._prepared.items() if index in kept}
 
@@ -136,8 +143,7 @@ class ReferenceViews(Stateful):
         """Return what the aligner takes of a view, and a few of its readings [n, 3], camera frame, metres."""
         made = self._prepared.get(view.frame.index)
         if made is None:
-            depth = view.frame.depth
-            assert depth is not None, "tracked by depth"
+            depth = view.depth
             v, u = np.mgrid[_STEP // 2 : depth.shape[0] : _STEP, _STEP // 2 : depth.shape[1] : _STEP]
             z = depth[v, u]
             points = self._camera.back_project(u, v, z)[z > 0.0].astype(np.float32)

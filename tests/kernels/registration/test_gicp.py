@@ -7,8 +7,9 @@ import warp as wp
 
 from ggwarp.geometry import se3
 from ggwarp.kernels.registration import gicp, gicp_loop
-from ggwarp.kernels.registration.gicp import SUMS, block_count, fix_across, linearise, match_points
+from ggwarp.kernels.registration.gicp import SUMS, block_count, linearise, match_points
 from ggwarp.kernels.registration.gicp_loop import CONVERGED, ITERATIONS, LoopArrays, run_stage, update_pose
+from ggwarp.kernels.registration.gicp_pairs import fix_across, pair_residuals
 from ggwarp.kernels.registration.hash_grid import allocate_hash_grid, build_hash_grid
 from ggwarp.ops.reference.registration import gicp_cost, gicp_system
 
@@ -109,6 +110,14 @@ class Case:
         )
         return unpack(self.system.numpy())[0]
 
+    def residuals2(self, radius=0.2):
+        n = len(self.points)
+        found = wp.zeros(n, dtype=float, device=self.device)
+        pair_residuals(
+            self.arrays.problem, self.pose, count=n, radius=radius, residuals2=found, device=self.device
+        )
+        return found.numpy()
+
     def update(self, damping=0.0):
         update_pose(self.arrays, stage=1, damping=damping, device=self.device)
         return self.progress.numpy()[:2]
@@ -144,6 +153,20 @@ def test_system_agrees_with_the_oracle(rng, device, n, robust_scale):
     cost = gicp_cost(problem.T_start, *pairs, robust_scale=robust_scale)
     np.testing.assert_allclose(system[27], cost, rtol=1e-3)
     assert system[28] == len(pairs[0])
+
+
+@pytest.mark.parametrize("n", [1, 33, 500])
+def test_residuals_agree_with_the_oracle(rng, device, n):
+    problem = Case(rng, n, device)
+    problem.points[0] = np.nan
+    problem.device_points.assign(problem.points)
+    problem.match(0.2)
+    found, matched = problem.residuals2(0.2), problem.matches.numpy() >= 0
+    assert np.array_equal(np.isfinite(found), matched) and not matched[0]
+    pairs = [np.float64(side) for side in problem.pairs()]
+    for value, *pair in zip(found[matched], *pairs, strict=True):
+        cost = gicp_cost(problem.T_start, *(np.asarray(side)[None] for side in pair), robust_scale=np.inf)
+        assert value == pytest.approx(cost, rel=2e-3, abs=1e-9)
 
 
 @pytest.mark.parametrize("robust_scale", [np.inf, 0.05])

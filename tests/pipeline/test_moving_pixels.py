@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What contradicts the rest of a recording is found, and only that; and it is not baked into the map."""
+"""What moves is found, and only that; it is not baked into the map, nor does the camera follow it."""
 
 from dataclasses import replace
 
@@ -8,17 +8,12 @@ import pytest
 
 from ggwarp.datasets.built_in.apartment import SyntheticApartment
 from ggwarp.datasets.built_in.synthetic import SyntheticOffice
+from ggwarp.evaluation.trajectory import absolute_error
 from ggwarp.pipeline.mapping.build import build_mapper
-from ggwarp.pipeline.mapping.contradiction import (
-    MovingPixels,
-    clipped_share,
-    different_share,
-    unusable,
-    without_pixels,
-)
 from ggwarp.pipeline.mapping.mapper import Mapper, MapperConfig
+from ggwarp.pipeline.moving_pixels import FreeSpace, MovingPixels, without_pixels
 from ggwarp.pipeline.slam import Slam, SlamConfig
-from ggwarp.types import Frame, Rendered
+from ggwarp.types import Frame
 
 OFFICE = SyntheticOffice(scale=0.15)
 
@@ -93,44 +88,6 @@ def test_no_depth_is_no_evidence():
         assert not moving.add(number, depth, OFFICE[0].T_wc)
 
 
-def _view(frame: Frame) -> Rendered:
-    """What a perfect map shows."""
-    opaque = np.ones_like(frame.depth)
-    return Rendered(frame.rgb.astype(np.float32) / 255.0, frame.depth, frame.depth, opaque)
-
-
-def test_a_clipped_picture_is_of_no_use_and_an_exposed_one_is():
-    frame = OFFICE[0]
-    bright = replace(frame, rgb=np.minimum(255, frame.rgb.astype(int) + 190).astype(np.uint8))
-    black = replace(frame, rgb=np.zeros_like(frame.rgb))
-    louder = replace(frame, rgb=np.minimum(255, frame.rgb * 1.2).astype(np.uint8))
-    shares = [clipped_share(f, _view(frame)) for f in (bright, black, louder, frame)]
-    assert [bool(unusable(f, _view(frame))) for f in (bright, black, louder, frame)] == [
-        True,
-        True,
-        False,
-        False,
-    ]
-    assert shares[3] == 0.0 and shares[2] < 0.2
-    part = replace(frame, rgb=np.where(np.arange(frame.rgb.shape[1])[:, None] < 60, bright.rgb, frame.rgb))
-    assert 0.2 < clipped_share(part, _view(frame)) < 0.5
-
-
-def test_a_picture_of_something_else_is_of_no_use(rng: np.random.Generator):
-    """A decoder's garbage, or the picture of another place; not one of another exposure or white balance."""
-    frame, view = OFFICE[0], _view(OFFICE[0])
-    garbage = replace(frame, rgb=rng.integers(0, 256, frame.rgb.shape).astype(np.uint8))
-    elsewhere = replace(frame, rgb=255 - frame.rgb[::-1, ::-1])
-    assert "has other colours" in unusable(garbage, view) and "has other colours" in unusable(elsewhere, view)
-    half = replace(frame, rgb=np.where(np.arange(frame.rgb.shape[0])[:, None, None] < 50, frame.rgb, 128))
-    dark = replace(frame, rgb=(0.4 * frame.rgb).astype(np.uint8))
-    warm = replace(frame, rgb=(frame.rgb * [1.0, 0.8, 0.5] + [0, 10, 20]).astype(np.uint8))
-    noisy = np.clip(frame.rgb + rng.normal(0, 15, frame.rgb.shape), 0, 255).astype(np.uint8)
-    for usable in (frame, half, dark, warm, replace(frame, rgb=noisy)):
-        assert unusable(usable, view) == ""
-    assert different_share(frame, view) == 0.0 and different_share(dark, view) < 0.05
-
-
 def test_pixels_are_left_out_by_their_depth():
     where = np.zeros(OFFICE[0].depth.shape, bool)
     assert without_pixels(OFFICE[0], where).depth.all()
@@ -138,15 +95,6 @@ def test_pixels_are_left_out_by_their_depth():
     held = without_pixels(OFFICE[0], where)
     assert not held.depth[where].any() and np.array_equal(held.depth[~where], OFFICE[0].depth[~where])
     assert np.array_equal(held.rgb, OFFICE[0].rgb)
-
-
-def test_a_map_that_explains_nothing_contradicts_nothing():
-    frame = OFFICE[0]
-    view, white = _view(frame), replace(frame, rgb=np.full_like(frame.rgb, 255))
-    unknown = replace(view, opacity=np.zeros_like(frame.depth))
-    elsewhere = replace(view, depth=2.0 * frame.depth)
-    for rendered in (unknown, elsewhere):
-        assert clipped_share(white, rendered) == 0.0 == different_share(white, rendered)
 
 
 def _psnr(mapper: Mapper, frame: Frame) -> float:
@@ -172,17 +120,6 @@ def test_a_person_is_not_baked_into_the_map():
         assert _psnr(maps["busy"], apartment[i]) > _psnr(maps["empty"], apartment[i]) - 2.5
 
 
-def test_pictures_that_are_left_out_are_counted_and_the_next_takes_their_place(caplog):
-    frames = [OFFICE[i] for i in range(9)]
-    frames[4] = replace(frames[4], rgb=np.full_like(frames[4].rgb, 255))
-    slam = Slam(SlamConfig(use_identity=False), OFFICE.camera, OFFICE.camera)
-    reports = [slam.step(frame) for frame in frames]
-    assert 4 not in slam.keyframe_indices and 5 in slam.keyframe_indices
-    assert [r.index for r in reports if r.keyframe] == slam.keyframe_indices
-    assert slam.counts["pictures_left_out"] == 1
-    assert "frame 4 is not mapped" in caplog.text
-
-
 def test_votes_go_on_after_a_restart():
     frames = [OFFICE[i] for i in range(4)]
     depths = [f.depth.copy() for f in frames]
@@ -202,5 +139,77 @@ def test_votes_follow_a_correction():
     moving = MovingPixels(OFFICE.camera)
     for number in range(2):
         moving.add(number, frames[number].depth, frames[number].T_wc)
-    moving.move(np.stack([moved, moved]))
+    moving.move(lambda _: moved)
     assert not moving.add(2, frames[2].depth, moved @ frames[2].T_wc)
+
+
+def test_whatever_a_frame_of_any_age_saw_through_moves():
+    frames = [OFFICE[i] for i in range(40)]
+    box = (slice(20, 60), slice(60, 110))
+    for earlier in (1, 3, 20, 39):
+        free = FreeSpace(OFFICE.camera)
+        for frame in frames[:earlier]:
+            free.add(frame.depth, frame.T_wc)
+        depth = frames[earlier].depth.copy()
+        depth[box] = 0.8
+        found = free.seen_through(depth, frames[earlier].T_wc)
+        assert found[box].mean() > 0.9 and found.sum() < 1.2 * found[box].size
+        assert not free.seen_through(frames[earlier].depth, frames[earlier].T_wc).any()
+
+
+def test_frames_testify_at_ages_that_double_and_what_stands_for_longer_is_furniture():
+    frame, depth = OFFICE[0], OFFICE[0].depth.copy()
+    box = (slice(20, 60), slice(60, 110))
+    depth[box] = 0.8
+    free = FreeSpace(OFFICE.camera)
+    for _ in range(4):
+        free.add(frame.depth, frame.T_wc)
+    moved = 0
+    for _ in range(600):
+        free.add(depth, frame.T_wc)
+        moved += free.seen_through(depth, frame.T_wc).any()
+        assert len(free.state()["_witnesses"]) <= 8
+    assert 128 <= moved <= 512
+
+
+def test_free_space_is_kept_over_a_restart_and_follows_a_correction():
+    frames = [OFFICE[i] for i in range(4)]
+    depth = frames[3].depth.copy()
+    depth[20:60, 60:110] = 0.8
+    motion = np.eye(4)
+    motion[:3, 3] = 0.4, -0.3, 0.2
+    free, again = FreeSpace(OFFICE.camera), FreeSpace(OFFICE.camera)
+    for frame in frames[:3]:
+        free.add(frame.depth, frame.T_wc)
+    again.restore(free.state(), lambda _: frames[0])
+    found = free.seen_through(depth, frames[3].T_wc)
+    assert found.any() and np.array_equal(again.seen_through(depth, frames[3].T_wc), found)
+    again.move(motion)
+    assert np.array_equal(again.seen_through(depth, motion @ frames[3].T_wc), found)
+
+
+def test_nothing_known_is_no_free_space():
+    free = FreeSpace(OFFICE.camera)
+    assert not free.seen_through(OFFICE[0].depth, OFFICE[0].T_wc).any()
+    for bad in (np.nan, 0.0, np.inf):
+        free.add(np.full_like(OFFICE[0].depth, bad), OFFICE[0].T_wc)
+    assert not free.seen_through(0.5 * OFFICE[0].depth, OFFICE[0].T_wc).any()
+
+
+def test_readings_are_left_out_at_the_sensors_own_resolution_too():
+    frame, where = OFFICE[0], np.zeros(OFFICE[0].depth.shape, bool)
+    where[10:20, 30:50] = True
+    sensor = np.repeat(np.repeat(frame.depth, 2, axis=0), 2, axis=1)
+    still = without_pixels(replace(frame, sensor_depth=sensor), where)
+    assert np.array_equal(still.sensor_depth == 0.0, np.repeat(np.repeat(where, 2, axis=0), 2, axis=1))
+
+
+def test_the_camera_does_not_follow_who_walks_by():
+    errors = []
+    for person in (False, True):
+        apartment = SyntheticApartment(scale=0.25, person=person)
+        slam = Slam(SlamConfig(loops=False), apartment.camera, apartment.camera)
+        frames = [apartment[i] for i in range(50)]
+        estimated = [slam.track_frame(frame).result.T_wc for frame in frames]
+        errors.append(absolute_error(np.stack(estimated), np.stack([f.T_wc for f in frames])).rmse)
+    assert errors[1] < 3.0 * errors[0]

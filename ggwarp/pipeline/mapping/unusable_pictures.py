@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures that contradict the map, and are not to be baked into it.
+
+A picture of which half the pixels that the map explains are clipped where it is not, or of other colours
+whatever the exposure, is left out whole: no robust estimate holds beyond a half. Single clipped pixels count:
+what is white or black may be so, and the map not yet.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ggwarp.types import Frame, Rendered
+
+_TOLERANCE = 0.05
+"""The map explains a pixel where their depths differ by less than this share: three standard deviations of a
+Kinect at 4 m (Nguyen et al., 2012), and a pose that is a little off."""
+_DARK, _BRIGHT = 4.0 / 255.0, 250.0 / 255.0
+_APART = 0.1
+"""A clipped pixel is wrong where the map is this far from the end of the scale."""
+_DIFFERENT = 0.2
+"""Of the scale, in a channel: colours this far apart are not those of one place in one light."""
+_OPAQUE = 0.95
+_BREAKDOWN = 0.5
+_LEAST = 0.05
+"""Share of a picture that the map must explain before it can be contradicted."""
+
+
+def clipped_share(frame: Frame, rendered: Rendered) -> float:
+    """Return the share of what the map explains of a picture that is clipped there, and not in the map.
+
+    Args:
+        frame: at the map's image size, with depth.
+        rendered: the map's view from its pose.
+    """
+    picture, explained = frame.rgb.astype(np.float32) / 255.0, _explained(frame, rendered)
+    if np.mean(explained) < _LEAST:
+        return 0.0
+    white = np.any((picture >= _BRIGHT) & (rendered.rgb < _BRIGHT - _APART), axis=2)
+    black = np.all((picture <= _DARK) & (rendered.rgb > _DARK + _APART), axis=2)
+    return np.count_nonzero(explained & np.logical_or(white, black)) / np.count_nonzero(explained)
+
+
+def different_share(frame: Frame, rendered: Rendered) -> float:
+    """Return the share of what the map explains of a picture that has other colours, at its best exposure.
+
+    Gain and offset of each channel are those of medians and median deviations, which half of the pixels
+    cannot move; or none, where the map's own exposure fits better.
+
+    Args:
+        frame, rendered: as of :func:`clipped_share`.
+    """
+    picture, explained = frame.rgb.astype(np.float32) / 255.0, _explained(frame, rendered)
+    if np.mean(explained) < _LEAST:
+        return 0.0
+    seen, known = picture[explained], rendered.rgb[explained]
+    middle, known_middle = np.median(seen, axis=0), np.median(known, axis=0)
+    spread, known_spread = (
+        np.median(np.abs(values - centre), axis=0)
+        for values, centre in ((seen, middle), (known, known_middle))
+    )
+    exposed = (known - known_middle) * (spread / np.maximum(known_spread, 1e-3)) + middle
+    shares = [np.mean(np.any(np.abs(seen - colours) > _DIFFERENT, axis=1)) for colours in (known, exposed)]
+    return float(min(shares))
+
+
+def unusable(frame: Frame, rendered: Rendered) -> str:
+    """Say why a picture is left out whole, having been compared with the map's view; empty: it is used."""
+    for share, said in (
+        (clipped_share(frame, rendered), "is clipped"),
+        (different_share(frame, rendered), "has other colours"),
+    ):
+        if share > _BREAKDOWN:
+            return f"{100.0 * share:.0f} % of what the map knows of it {said}"
+    return ""
+
+
+def _explained(frame: Frame, rendered: Rendered) -> NDArray[np.bool_]:
+    """Return [h, w] where the map is opaque and where the depth says it is."""
+    assert frame.depth is not None
+    there = (rendered.opacity > _OPAQUE) & (frame.depth > 0.0)
+    return there & (np.abs(rendered.surface_depth - frame.depth) < _TOLERANCE * frame.depth)

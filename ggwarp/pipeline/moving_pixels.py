@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pixels that show something that moves, found by free space.
+
+A view sees through a point of another where its depth lies behind it: the point was not there at that time.
+Views vote on each other's pixels; those that more saw through than found in place show something that moves,
+as a person who walks by. One vote proves nothing: depth may be wrong.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ggwarp.geometry import se3
+from ggwarp.geometry.camera import Camera
+from ggwarp.runtime.state import Stateful, state_value
+from ggwarp.types import Float32, Float64, Frame
+
+Bools = NDArray[np.bool_]
+
+_RECENT = 8
+"""Views that vote on each other: what stands still for longer is furniture."""
+_STRIDE = 2
+"""Every second pixel votes for its neighbours, too."""
+_TOLERANCE = 0.05
+"""Surfaces whose depths differ by less than this share may be one: three standard deviations of a Kinect at
+4 m (Nguyen et al., 2012), and a pose that is a little off."""
+_LEAST_VOTES = 2
+_AGES = 8
+"""Of the frames that testify to free space: up to 2^8 frames."""
+_LEAST = int(__import__("os").environ.get("LEAST", "1"))
+_NEIGHBOURS = np.ones((3, 3), np.uint8)
+
+
+@state_value
+@dataclass
+class _Voter:
+    """A recent view: its number, pose, depth at every second pixel, and the votes on each."""
+
+    number: int
+    T_wc: Float64
+    points: Float32
+    depth: Float32
+    nearest: Float32
+    through: NDArray[np.int16]
+    in_place: NDArray[np.int16]
+
+    def moved(self) -> Bools:
+        return (self.through >= _LEAST_VOTES) & (self.through > self.in_place)
+
+
+class MovingPixels(Stateful):
+    """Finds the pixels of views that show what moves.
+
+    Attributes:
+        camera: of the views' depth.
+    """
+
+    STATE = ("_recent",)
+
+    def __init__(self, camera: Camera) -> None:
+        self.camera = camera
+        self._recent: deque[_Voter] = deque(maxlen=_RECENT)
+
+    def add(self, number: int, depth: Float32, T_wc: Float64) -> dict[int, Bools]:
+        """Let a new view and the recent ones vote on each other.
+
+        Args:
+            number: its number.
+            depth: [h, w] metres, 0 = none.
+            T_wc: [4, 4] its pose.
+
+        Returns:
+            Number -> [h, w] the pixels that moved, of it and of those of the recent that have any.
+        """
+        voter = _voter(self.camera, number, depth, T_wc)
+        for other in self._recent:
+            _vote(self.camera, other, voter)
+            _vote(self.camera, voter, other)
+        self._recent.append(voter)
+        masks = {v.number: _whole(v.moved(), depth.shape) for v in self._recent}
+        return {number: mask for number, mask in masks.items() if mask.any()}
+
+    def move(self, motion_of: Callable[[int], Float64]) -> None:
+        """Let the recent views follow a correction: the motion [4, 4] of the world, by a view's number."""
+        for voter in self._recent:
+            voter.T_wc = motion_of(voter.number) @ voter.T_wc
+
+
+class FreeSpace(Stateful):
+    """Where the camera has lately seen that nothing is, so that a frame's pixels there show what moves.
+
+    Frames testify at ages that double: 1, 2, 4 ... frames. The young ones know what has just come into view,
+    the old ones what has stood in the way since; what stands for longer than the oldest is furniture.
+    """
+
+    STATE = ("_witnesses", "_added")
+
+    def __init__(self, camera: Camera) -> None:
+        """Know nothing yet; frames' depth is by ``camera``."""
+        self._camera = camera
+        self._witnesses: list[_Voter] = []
+        self._added = 0
+
+    def seen_through(self, depth: Float32, T_wc: Float64) -> Bools:
+        """Return the pixels [h, w] that lie in front of what any earlier frame saw there.
+
+        One vote is enough: a reading that is left out by mistake costs a pose nothing.
+
+        Args:
+            depth: [h, w] metres, 0 = none.
+            T_wc: [4, 4] its pose.
+        """
+        view = _voter(self._camera, self._added, depth, T_wc)
+        for witness in self._witnesses:
+            _vote(self._camera, view, witness)
+        return _whole(view.through > 0, depth.shape)
+
+    def add(self, depth: Float32, T_wc: Float64) -> None:
+        """Let the last frame, ``depth`` [h, w] from ``T_wc`` [4, 4], testify from now on."""
+        self._witnesses.append(_voter(self._camera, self._added, depth, T_wc))
+        self._added += 1
+        # Of 2^k frames between ages 2^k and 2^(k + 1) one number is a multiple of 2^k.
+        ages = [(w, (self._added - w.number).bit_length() - 1) for w in self._witnesses]
+        self._witnesses = [w for w, k in ages if k < _AGES and w.number % 2**k == 0]
+
+    def move(self, motion: Float64) -> None:
+        """Follow the frames, which a closed loop has moved by ``motion`` [4, 4] of the world."""
+        for witness in self._witnesses:
+            witness.T_wc = motion @ witness.T_wc
+
+
+def _voter(camera: Camera, number: int, depth: Float32, T_wc: Float64) -> _Voter:
+    depth = np.where(np.isfinite(depth), depth, np.float32(0))
+    h, w = depth.shape
+    rows, columns = np.mgrid[0:h:_STRIDE, 0:w:_STRIDE]
+    few = np.ascontiguousarray(depth[::_STRIDE, ::_STRIDE])
+    # The nearest of the neighbours: 0, no evidence, where any has no depth.
+    nearest = np.asarray(cv2.erode(few, _NEIGHBOURS), np.float32)
+    points = camera.back_project(columns, rows, few).astype(np.float32)
+    votes = np.zeros(few.shape, np.int16)
+    return _Voter(number, T_wc, points, few, nearest, votes, votes.copy())
+
+
+def _vote(camera: Camera, subject: _Voter, witness: _Voter) -> None:
+    """Count where ``witness`` sees through the points of ``subject``, and where they are in place."""
+    T = (se3.inverse(witness.T_wc) @ subject.T_wc).astype(np.float32)
+    points = subject.points @ T[:3, :3].T + T[:3, 3]
+    rows, columns, inside = camera.pixels_of(points)
+    rows, columns = rows // _STRIDE, columns // _STRIDE
+    known = inside & (subject.depth > 0.0)
+    z = points[..., 2]
+    subject.through += known & (witness.nearest[rows, columns] > z * (1.0 + _TOLERANCE))
+    subject.in_place += known & (np.abs(witness.depth[rows, columns] - z) < _TOLERANCE * z)
+
+
+def _whole(moved: Bools, shape: tuple[int, ...]) -> Bools:
+    """Return the mask of every second pixel [h, w] at full ``shape``, without specks and with a rim."""
+    if not moved.any():
+        return np.zeros(shape, bool)
+    solid = cv2.morphologyEx(moved.astype(np.uint8), cv2.MORPH_OPEN, _NEIGHBOURS)
+    solid = cv2.dilate(solid, _NEIGHBOURS)
+    return np.asarray(cv2.resize(solid, shape[::-1], interpolation=cv2.INTER_NEAREST), bool)
+
+
+def without_pixels(frame: Frame, where: Bools) -> Frame:
+    """Return ``frame`` without depth at ``where`` [h, w]: there it neither seeds, binds nor is registered."""
+    assert frame.depth is not None
+    if not where.any():
+        return frame
+    sensor_depth = frame.sensor_depth
+    if sensor_depth is not None:
+        size = sensor_depth.shape[::-1]
+        there = cv2.resize(where.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
+        sensor_depth = np.where(there > 0, np.float32(0), sensor_depth)
+    depth = np.where(where, np.float32(0), frame.depth)
+    return replace(frame, depth=depth, sensor_depth=sensor_depth)
