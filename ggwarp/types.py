@@ -143,6 +143,7 @@ class TrackResult:
         overlap: share of the frame that the map explains: of its points, or of its pixels without points.
         information: [6, 6] inverse covariance of a twist (translation, rotation) in the camera; None: not
             stated.
+        position_std: the position's largest standard deviation, metres, drift included; nan: not known.
         earlier_poses: index -> [4, 4] pose of earlier frames that became known only now.
         reinitialise: the map is not what the camera sees: a new one is to begin with the next frame. Only
             for trackers that look at the Gaussians.
@@ -156,6 +157,7 @@ class TrackResult:
     depth: Float32 | None = None
     overlap: float = 0.0
     information: Float64 | None = None
+    position_std: float = float("nan")
     earlier_poses: dict[int, Float64] = field(default_factory=dict)
     reinitialise: bool = False
 
@@ -229,6 +231,7 @@ class StepReport:
         verdict, reason, overlap: see :class:`TrackResult`.
         rmse: see :class:`FramePoints`; 0 without points.
         depth_noise_mm: its ``typical_noise``, millimetres; 0 without points.
+        position_std_cm: the position's largest standard deviation, drift included; nan where none is known.
         keyframe: "", "tracking" or "mapping".
         tracking_ms, mapping_ms: wall time, milliseconds.
         mapping_iterations: iterations spent during this frame.
@@ -236,8 +239,6 @@ class StepReport:
         loss: mean mapping loss over this frame's iterations; nan when there was none.
         latency_ms: from the frame's arrival to its pose, milliseconds; but for live mode a frame arrives when
             the tracker takes it up.
-        position_std_mm: the largest standard deviation of its position that tracking states; inf: it is not
-            determined; nan: not stated.
         late_ms: how long after its arrival a busy system took the frame up, milliseconds (live mode).
         frames_behind: newer frames that had arrived by then.
         loop_ms: of ``tracking_ms``, spent on looking for loops and on closing them.
@@ -260,9 +261,9 @@ class StepReport:
     loss: float
     latency_ms: float = float("nan")
     depth_noise_mm: float = 0.0
+    position_std_cm: float = float("nan")
     late_ms: float = 0.0
     frames_behind: int = 0
     loop_ms: float = 0.0
     loop_with: int | None = None
     loop_moved_cm: float | None = None
-    position_std_mm: float = float("nan")

@@ -133,9 +133,10 @@ class Slam:
             result = self._track(frame)
         seconds = time.perf_counter() - started
         kind = self._policy.decide(result)
-        if kind is KeyframeKind.TRACKING:
+        if new := kind is KeyframeKind.TRACKING:
             self._trackable.add(result.points, result.T_wc, frame.index)
-        result, closure, loop_s = self.loops.close(frame, result, lambda: self._tracking_scope)
+        closed = self.loops.close(frame, result, lambda: self._tracking_scope, is_keyframe=new)
+        result, closure, loop_s = closed
         return TrackedFrame(frame, arrival, result, kind, seconds + loop_s, closure, loop_s)
 
     def map_frame(self, tracked: TrackedFrame, waiting: Waiting | None = None) -> StepReport:

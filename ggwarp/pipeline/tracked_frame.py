@@ -4,9 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import nan
 
-from ggwarp.geometry.uncertainty import position_std
 from ggwarp.pipeline.loops.loop_closer import Closure
 from ggwarp.pipeline.scheduler import Arrival
 from ggwarp.pipeline.tracking.keyframe_policy import KeyframeKind
@@ -67,7 +65,7 @@ class TrackedFrame:
             overlap=result.overlap,
             rmse=0.0 if result.points is None else result.points.rmse,
             depth_noise_mm=0.0 if result.points is None else 1e3 * result.points.typical_noise,
-            position_std_mm=nan if result.information is None else 1e3 * position_std(result.information),
+            position_std_cm=100.0 * result.position_std,
             keyframe=self.kind.value,
             tracking_ms=1e3 * self.seconds,
             mapping_ms=1e3 * seconds,

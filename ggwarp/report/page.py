@@ -31,7 +31,11 @@ CHARTS: tuple[tuple[str, str, tuple[tuple[str, str], ...]], ...] = (
     ("Time", "ms", (("tracking_ms", "tracking"), ("mapping_ms", "mapping"))),
     ("Overlap with the map", "share", (("overlap", "overlap"),)),
     ("Position error, aligned", "cm", (("ate_cm", "error"),)),
-    ("Uncertainty of the position, as stated", "mm", (("position_std_mm", "standard deviation"),)),
+    (
+        "Uncertainty of the position",
+        "cm",
+        (("position_std_cm", "standard deviation, with drift"),),
+    ),
     ("Depth noise, and misfit of the points", "mm", (("depth_noise_mm", "noise"), ("rmse_mm", "misfit"))),
     ("PSNR", "dB", (("psnr", "as it is"), ("psnr_exposed", "exposure fitted"))),
     ("SSIM", "", (("ssim", "SSIM"),)),

@@ -29,6 +29,7 @@ RESULTS = {
         "ate_live_rmse_cm",
         "ate_mean_cm",
         "rpe_rmse_cm",
+        "position_std_cm",
         "depth_noise_mm",
         "loops_closed",
     ],
@@ -92,7 +93,8 @@ def metrics_of(record: RunRecord, *, wall_s: float, gaussians: int | None) -> di
     finally estimated. ``fps`` is frames over the time of the tracking and mapping loop, refinement not
     counted; ``tracking_ms``, ``loop_ms`` (of it) and ``mapping_ms`` are means per frame; ``wall_s`` runs from
     the command's start; ``depth_noise_mm`` is the standard deviation of depth that the frames show, at the
-    depth of half of them; ``failures`` has a line for each part of the run that failed.
+    depth of half of them; ``position_std_cm`` is the largest standard deviation of a position, from the first
+    frame on, as the run itself knows it; ``failures`` has a line for each part of the run that failed.
     """
     reports = record.reports
     ate, rpe, scale = _trajectory_errors(record)
@@ -119,6 +121,7 @@ def metrics_of(record: RunRecord, *, wall_s: float, gaussians: int | None) -> di
         "ate_mean_cm": None if ate is None else 100.0 * ate.mean,
         "ate_live_rmse_cm": None if ate is None else 100.0 * _live_error(record),
         "rpe_rmse_cm": None if rpe is None else 100.0 * rpe.rmse,
+        "position_std_cm": max((r.position_std_cm for r in reports if r.position_std_cm > 0.0), default=None),
         "depth_noise_mm": _percentile([r.depth_noise_mm for r in reports if r.depth_noise_mm > 0.0], 50),
         "alignment": None if ate is None else "sim3" if record.monocular else "se3",
         "scale": scale if record.monocular else None,

@@ -54,7 +54,7 @@ FRAME_COLUMNS: tuple[str, ...] = (
     "overlap",
     "rmse_mm",
     "depth_noise_mm",
-    "position_std_mm",
+    "position_std_cm",
     "keyframe",
     "tracking_ms",
     "mapping_ms",

@@ -95,6 +95,7 @@ class Registration:
         matched: matched pairs there.
         converged: whether the last stage's last step was below its tolerance.
         iterations: linearisations in all.
+        residual_scale: see :meth:`Registrar.residual_scale`, where it was measured.
     """
 
     T_wc: Float64
@@ -104,6 +105,7 @@ class Registration:
     matched: int
     converged: bool
     iterations: int
+    residual_scale: float = 1.0
 
 
 def build_target(means: Any, quats: Any, scales: Any, *, cell_size: float, device: Any) -> RegistrationTarget:

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from ggwarp.solvers.registration import Cloud, Registrar, Registration, RegistrationStage, RegistrationTarget
 from ggwarp.types import Float64
 
@@ -44,7 +46,8 @@ def register_coarse_to_fine(
     scale = registrar.residual_scale(cloud, target, T_start, radius=fine)
     found = registrar.register(cloud, target, T_start, coarse_to_fine_stages(spacing, scale))
     scale = registrar.residual_scale(cloud, target, found.T_wc, radius=fine)
-    return registrar.register(cloud, target, found.T_wc, coarse_to_fine_stages(spacing, scale)[-1:])
+    found = registrar.register(cloud, target, found.T_wc, coarse_to_fine_stages(spacing, scale)[-1:])
+    return replace(found, residual_scale=scale)
 
 
 def coarse_to_fine_stages(spacing: float, residual_scale: float = 1.0) -> list[RegistrationStage]:

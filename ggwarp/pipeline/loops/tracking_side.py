@@ -11,6 +11,7 @@ from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from ggwarp.pipeline.loops.loop_closer import Closure, LoopCloser
 from ggwarp.pipeline.loops.pose_graph import solver_is_there
+from ggwarp.pipeline.loops.pose_uncertainty import PoseUncertainty
 from ggwarp.pipeline.tracking.keyframe_policy import KeyframePolicy
 from ggwarp.pipeline.tracking.point_map import TrackableMap
 from ggwarp.pipeline.tracking.tracker import FollowsMap, Tracker, TrackingConfig
@@ -19,13 +20,13 @@ from ggwarp.types import Frame, TrackResult
 
 
 class TrackingLoops(Stateful):
-    """Closes loops of the tracker's side, if the run closes any.
+    """Closes loops of the tracker's side, if the run closes any, and keeps count of the drift between them.
 
     Attributes:
         stay_open: why loops stay open, one clause; empty: they are closed.
     """
 
-    STATE = ("_closer",)
+    STATE = ("_closer", "_uncertainty")
 
     def __init__(
         self,
@@ -43,6 +44,7 @@ class TrackingLoops(Stateful):
         """
         self._tracker, self._policy, self._points = tracker, policy, points
         self.stay_open = _why_not(tracker, config.loops)
+        self._uncertainty = PoseUncertainty()
         # The map takes no notice of points that move by less.
         least = points.distance
         self._closer = (
@@ -50,17 +52,23 @@ class TrackingLoops(Stateful):
         )
 
     def close(
-        self, frame: Frame, result: TrackResult, scope: Callable[[], AbstractContextManager[object]]
+        self,
+        frame: Frame,
+        result: TrackResult,
+        scope: Callable[[], AbstractContextManager[object]],
+        *,
+        is_keyframe: bool,
     ) -> tuple[TrackResult, Closure | None, float]:
         """Take in a tracked frame; return it as corrected, the loop that it closes, and the seconds spent.
 
         Args:
             scope: of work on the device.
+            is_keyframe: later frames will be registered to it.
         """
-        if self._closer is None:
-            return result, None, 0.0
-        before = self._closer.seconds
-        closure = self._closer.observe(frame, result)
+        closure, before = None, 0.0
+        if self._closer is not None:
+            before = self._closer.seconds
+            closure = self._closer.observe(frame, result)
         if closure is not None:
             [motion] = closure.correction.at([frame.index])
             assert isinstance(self._tracker, FollowsMap)
@@ -69,7 +77,9 @@ class TrackingLoops(Stateful):
                 self._tracker.on_map_moved(closure.correction, frame.index)
             self._policy.on_map_moved(motion)
             result = dataclasses.replace(result, T_wc=se3.orthonormalised(motion @ result.T_wc))
-        return result, closure, self._closer.seconds - before
+        std = self._uncertainty.position_std(frame.index, result, is_keyframe=is_keyframe, closure=closure)
+        seconds = 0.0 if self._closer is None else self._closer.seconds - before
+        return dataclasses.replace(result, position_std=std), closure, seconds
 
 
 def _why_not(tracker: Tracker, wanted: bool) -> str:

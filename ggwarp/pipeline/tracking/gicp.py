@@ -242,7 +242,7 @@ class GicpTracker(Stateful):
     def _judge(self, found: _RegisteredPose, seen: Observation, predicted: Float64) -> tuple[Verdict, str]:
         """Take note of a registration; return what it is worth, and why."""
         fit, overlap = found.fit, found.overlap
-        self.registration, self.information = fit, seen.information(fit.across)
+        self.registration, self.information = fit, seen.information(fit)
         std, jump_reason = position_std(self.information), self._jump(found, predicted)
         overlap_reason = f"overlap {overlap:.2f} with the map"
         std_reason = f"position free to slide by {std:.3f} m" if std < _FREE else "position free to slide"
