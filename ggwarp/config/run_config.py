@@ -46,7 +46,7 @@ class RunConfig:
     The word untracked means those, with --masks-kind untracked."""
 
     masks_void: tuple[int, ...] = ()
-    """Ids of masks' pixels that say nothing, neither an object nor none, such as 255 along borders."""
+    """Ids of masks' pixels that say nothing, such as 255 along borders."""
 
     intrinsics: tuple[float, float, float, float] | None = None
     """The camera of your own recording: fx fy cx cy in pixels of its native size. Default: its camera file's.
