@@ -95,13 +95,14 @@ def _headline(m: dict[str, Any], objects: int) -> str:
     compared = "not compared" if m.get("psnr") is None else f"{figure(m.get('heldout_psnr'), 1)} held out"
     miou = "no masks to compare with" if m.get("miou") is None else f"mIoU {figure(m['miou'], 3)}"
     memory, skipped = m.get("peak_memory_mb"), figure(m.get("frames_skipped"))
+    keyframes = sum(m.get(name) or 0 for name in ("tracking_keyframes", "mapping_keyframes"))
     tiles = [
         ("ATE", _with_unit(m.get("ate_rmse_cm"), 2, "cm"), truth),
         ("PSNR", _with_unit(m.get("psnr"), 1, "dB"), compared),
         ("Frames a second", figure(m.get("fps"), 1), f"{figure(m.get('wall_s'), 0)} s in all"),
         ("Lost frames", figure(m.get("frames_lost")), f"of {figure(m.get('frames'))}, {skipped} skipped"),
         ("Objects", figure(objects), miou),
-        ("Gaussians", figure(m.get("gaussians")), f"{figure(m.get('mapping_keyframes'))} keyframes"),
+        ("Gaussians", figure(m.get("gaussians")), f"{figure(keyframes)} keyframes"),
         ("Memory", _with_unit(None if memory is None else memory / 1024.0, 1, "GiB"), "peak"),
     ]  # fmt: skip
     inner = (

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import os
 import re
 import shutil
@@ -109,7 +110,8 @@ def make(kind: str, scene: Path, fake, monkeypatch) -> int:
 def test_every_run_has_a_report(kind: str, scene: Path, fake, monkeypatch) -> None:
     code = make(kind, scene, fake, monkeypatch)
     assert code == {"interrupted": 130, "failed evaluation": 1}.get(kind, 0)
-    said = checked(Path("o"))
+    said, metrics = checked(Path("o")), json.loads(Path("o/metrics.json").read_text())
+    assert f"{metrics['tracking_keyframes'] + metrics['mapping_keyframes']} keyframes" in said
     for section in SECTIONS:
         assert section in said, section
     expected = {
