@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import importlib
+import sys
 
 import warp as wp
 
@@ -28,6 +29,6 @@ def ready_device(wanted: str | None) -> str:
         importlib.import_module(module)
     modules = loading.imported_kernel_modules(name)
     if loading.uncompiled(modules, name):
-        print("compiling kernels (first run only)", flush=True)
+        print("compiling kernels (first run only)", file=sys.stderr, flush=True)
     loading.load(modules, name)
     return name
