@@ -13,6 +13,7 @@ end every file must have the bits of the run that was never stopped. Prints JSON
 from __future__ import annotations
 
 import argparse
+import contextlib
 import dataclasses
 import hashlib
 import json
@@ -279,8 +280,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     began = time.monotonic()
     with tempfile.TemporaryDirectory(dir=options.folder) as folder:
         campaign = Campaign(Path(folder), random.Random(options.seed))
-        while campaign.trials < options.count and time.monotonic() - began < options.seconds:
-            campaign.trial()
+        with contextlib.suppress(KeyboardInterrupt):  # what was tried until then is told
+            while campaign.trials < options.count and time.monotonic() - began < options.seconds:
+                campaign.trial()
     report: dict[str, Any] = {
         "trials": campaign.trials,
         "operations on files of a run": campaign.typical.counts["file"],
