@@ -33,7 +33,6 @@ _TOLERANCE = 0.05
 _LEAST_VOTES = 2
 _AGES = 8
 """Of the frames that testify to free space: up to 2^8 frames."""
-_LEAST = int(__import__("os").environ.get("LEAST", "1"))
 _NEIGHBOURS = np.ones((3, 3), np.uint8)
 
 
