@@ -7,7 +7,7 @@ import torch
 import warp as wp
 
 from ggwarp.kernels.registration import covariance, hash_grid
-from ggwarp.ops.tensors import as_quats, as_vectors, warp_device
+from ggwarp.ops.tensors import as_quats, as_vectors, on_stream_of, warp_device
 
 
 def knn(
@@ -33,20 +33,22 @@ def knn(
     queries = points if queries is None else queries
     device = warp_device(points)
     targets, sources = as_vectors(points, "points"), as_vectors(queries, "queries")
-    grid = hash_grid.allocate_hash_grid(len(points), device=device)
-    hash_grid.build_hash_grid(grid, targets, cell_size=cell_size or _cell_size(points, k), device=device)
+    cell_size = cell_size or _cell_size(points, k)
     indices = torch.empty((len(queries), k), dtype=torch.int32, device=points.device)
     distances2 = torch.empty((len(queries), k), dtype=torch.float32, device=points.device)
     if not len(queries):
         return indices, distances2
-    hash_grid.find_k_nearest(
-        grid,
-        sources,
-        k=k,
-        indices=wp.from_torch(indices, dtype=wp.int32),
-        distances2=wp.from_torch(distances2, dtype=wp.float32),
-        device=device,
-    )
+    with on_stream_of(points):
+        grid = hash_grid.allocate_hash_grid(len(points), device=device)
+        hash_grid.build_hash_grid(grid, targets, cell_size=cell_size, device=device)
+        hash_grid.find_k_nearest(
+            grid,
+            sources,
+            k=k,
+            indices=wp.from_torch(indices, dtype=wp.int32),
+            distances2=wp.from_torch(distances2, dtype=wp.float32),
+            device=device,
+        )
     return indices, distances2
 
 
@@ -68,14 +70,15 @@ def ellipses(
     if not len(points):
         return quats, scales
     vectors = as_vectors(points, "points")
-    covariance.estimate_covariances(
-        vectors,
-        vectors,
-        wp.from_torch(indices, dtype=wp.int32),
-        quats=as_quats(quats, "quats"),
-        scales=as_vectors(scales, "scales"),
-        device=warp_device(points),
-    )
+    with on_stream_of(points):
+        covariance.estimate_covariances(
+            vectors,
+            vectors,
+            wp.from_torch(indices, dtype=wp.int32),
+            quats=as_quats(quats, "quats"),
+            scales=as_vectors(scales, "scales"),
+            device=warp_device(points),
+        )
     return quats, scales
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import torch
 
-from ggwarp.ops.tensors import as_matrices, as_quats, as_vectors, warp_device
+from ggwarp.ops.tensors import as_matrices, as_quats, as_vectors, on_stream_of, warp_device
 from ggwarp.solvers.registration import Cloud, Registration, RegistrationStage, build_target, register
 
 
@@ -45,15 +45,15 @@ def gicp(
         ValueError: a tensor of another shape, type or layout.
     """
     device = warp_device(points)
-    # Matches lie within the last radius once the pose is near: cells of that size find them in few visits.
-    target = build_target(
+    start = torch.eye(4, dtype=torch.float64) if T_start is None else T_start.detach().double().cpu()
+    cloud = Cloud(as_vectors(points, "points"), as_matrices(covariances, "covariances"))
+    gaussians = (
         as_vectors(target_means, "target_means"),
         as_quats(target_quats, "target_quats"),
         as_vectors(target_scales, "target_scales"),
-        cell_size=2.0 * radii[-1],
-        device=device,
     )
-    start = torch.eye(4, dtype=torch.float64) if T_start is None else T_start.detach().double().cpu()
-    cloud = Cloud(as_vectors(points, "points"), as_matrices(covariances, "covariances"))
     stages = [RegistrationStage(radius, iterations, tolerance, robust_scale) for radius in radii]
-    return register(cloud, target, start.numpy(), stages, device=device)
+    with on_stream_of(points):
+        # Matches lie within the last radius once the pose is near: such cells find them in few visits.
+        target = build_target(*gaussians, cell_size=2.0 * radii[-1], device=device)
+        return register(cloud, target, start.numpy(), stages, device=device)

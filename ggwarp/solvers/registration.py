@@ -178,7 +178,7 @@ class Registrar(Stateful):
         """
         self._reserve(cloud.count, len(stages))
         self._load(cloud, target, T_start, stages)
-        if self._recorded:
+        if self._recorded and stages:
             thinnings = tuple(stage.thinning for stage in stages)
             room = self._room[0]
             self._graphs.run(thinnings, lambda: self._run(thinnings, room), arrays=self._room)

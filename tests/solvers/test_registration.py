@@ -34,7 +34,10 @@ def test_any_clouds_and_targets_in_a_row(rng, device, recorded):
 
 
 @pytest.mark.parametrize("recorded", [False, True])
-def test_nothing_to_register(rng, device, recorded):
+def test_nothing_to_register(rng, device, recorded, monkeypatch):
+    recordings = []
+    begin = wp.capture_begin
+    monkeypatch.setattr(wp, "capture_begin", lambda *a, **k: (recordings.append(0), begin(*a, **k))[1])
     registrar = Registrar(device=device, recorded=recorded)
     empty = walls_cloud(rng, 0, np.eye(4), device)
     T_start = se3.se3_exp([0.1, 0.2, 0.3, 0.0, 0.1, 0.0])
@@ -43,6 +46,7 @@ def test_nothing_to_register(rng, device, recorded):
             found = registrar.register(points, walls_target(rng, 100, device), T_start, stages)
             np.testing.assert_allclose(found.T_wc, T_start, atol=1e-12)
             assert found.matched == 0 and not found.information.any()
+    assert len(recordings) == recorded, "what has no stages is nothing to record"
 
 
 def test_residuals_are_as_large_as_half_the_points_say(rng, device):
