@@ -19,10 +19,11 @@ import tyro
 from rich.console import Console
 
 from benchmarking import kernels, plots, scaling, system, tracking
+from benchmarking.cubins import resources
 from benchmarking.endurance import memory
 from benchmarking.options import BenchmarkError, check_out
 from benchmarking.record import Record, write_record
-from benchmarking.tables import show
+from benchmarking.tables import markdown, show
 from ggwarp.config import ConfigError
 from ggwarp.datasets import DatasetError
 from ggwarp.runtime import loading
@@ -33,6 +34,7 @@ SUBCOMMANDS: dict[str, tuple[Any, Callable[[Any], Record]]] = {
     "system": (system.SystemOptions, system.run),
     "scaling": (scaling.ScalingOptions, scaling.run),
     "memory": (memory.MemoryOptions, memory.run),
+    "resources": (resources.ResourcesOptions, resources.run),
 }
 """Name -> its options and what it runs."""
 
@@ -61,6 +63,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not console.is_terminal:
         console = Console(width=_PLAIN_WIDTH)
     show(record, console)
+    if record.benchmark == "resources":  # tables alone, to be read where the file lies
+        page = path.with_suffix(".md")
+        page.write_text(markdown(record))
+        console.print(f"written: {path}, {page}", markup=False, soft_wrap=True)
+        return 0
     try:
         drawn = plots.draw(record, path.with_suffix(""))
     except plots.NoMatplotlibError as error:

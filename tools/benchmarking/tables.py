@@ -28,6 +28,26 @@ def show(record: Record, console: Console) -> None:
         _say(console, f"note: {note}")
 
 
+def markdown(record: Record) -> str:
+    """Return ``record`` as a page: what it was measured on, its checks and tables."""
+    m = record.machine
+    versions = ", ".join(f"{name} {version}" for name, version in m["versions"].items())
+    lines = [f"# {record.benchmark}: {m['device']}", "", f"Commit {m['commit']}; {versions}."]
+    checks = [
+        {"check": c.name, "value": c.value, "unit": c.unit, "target": f"{c.relation} {cell(c.target)}"}
+        | {"met": "not measured" if c.met is None else cell(c.met)}
+        for c in record.checks
+    ]
+    for section in [Section("against the targets", checks), *record.sections]:
+        if section.rows:
+            names = list(section.rows[0])
+            lines += ["", f"## {section.title}", "", f"| {' | '.join(names)} |", f"|{'---|' * len(names)}"]
+            lines += [f"| {' | '.join(cell(row[name]) for name in names)} |" for row in section.rows]
+        if section.note:
+            lines += ["", f"{section.note[0].upper()}{section.note[1:]}."]
+    return "\n".join(lines) + "\n"
+
+
 def _say(console: Console, line: str) -> None:
     console.print(line, markup=False, highlight=False, soft_wrap=True)
 

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What can be told of the kernels' CUDA binaries without a GPU."""
