@@ -24,6 +24,7 @@ from ggwarp.kernels.raster.composite_patches import (
     log_alpha,
     patch_x,
     patch_y,
+    vec16i,
 )
 from ggwarp.kernels.raster.project import LOG_ALPHA_MIN
 from ggwarp.kernels.raster.sampling import first_band, in_sample
@@ -148,8 +149,8 @@ def forward(
     gaussians = wp.array(ptr=gaussian_memory.ptr, shape=(CHUNK,), dtype=int)
     list_memory = wp.zeros(shape=wp.static(16 * CHUNK), dtype=wp.int16)
     lists = wp.array(ptr=list_memory.ptr, shape=(16 * CHUNK,), dtype=wp.int16)
-    count_memory = wp.zeros(shape=16, dtype=int)
-    counts = wp.array(ptr=count_memory.ptr, shape=(16,), dtype=int)
+    count_memory = wp.zeros(shape=2, dtype=vec16i)
+    counts = wp.array(ptr=aligned(count_memory.ptr), shape=(16,), dtype=int)
 
     # A run-time number (see composite_patches).
     patches = wp.min(tiles_x, 0) + 16

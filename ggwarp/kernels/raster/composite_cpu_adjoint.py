@@ -41,6 +41,7 @@ from ggwarp.kernels.raster.composite_patches import (
     patch_y,
     shape_gradients,
     vec8,
+    vec16i,
 )
 from ggwarp.kernels.raster.sampling import first_band, in_sample
 
@@ -138,8 +139,8 @@ def adjoint(
     gaussians = wp.array(ptr=gaussian_memory.ptr, shape=(CHUNK,), dtype=int)
     list_memory = wp.zeros(shape=wp.static(16 * CHUNK), dtype=wp.int16)
     lists = wp.array(ptr=list_memory.ptr, shape=(16 * CHUNK,), dtype=wp.int16)
-    count_memory = wp.zeros(shape=16, dtype=int)
-    counts = wp.array(ptr=count_memory.ptr, shape=(16,), dtype=int)
+    count_memory = wp.zeros(shape=2, dtype=vec16i)
+    counts = wp.array(ptr=aligned(count_memory.ptr), shape=(16,), dtype=int)
 
     # A run-time number (see composite_patches).
     patches = wp.min(tiles_x, 0) + 16

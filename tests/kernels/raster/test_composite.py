@@ -189,6 +189,23 @@ def test_one_splat_is_its_formula(device):
     assert np.abs(median - np.where(alpha > 0.5, depth, 0.0)).max() < 1e-5
 
 
+@pytest.mark.parametrize("cooperative", [False, True], ids=["CPU form", "CUDA form"])
+def test_needles_at_every_angle_lose_nothing(rng, cpu_blocks, cooperative):
+    """A splat is looked for wherever alpha reaches 1/255, however thin and long it is."""
+    scene, size = make_scene(rng, n=150, width=70, height=50, channels=4)
+    angle = np.linspace(0, np.pi, 150)
+    c, s = np.cos(angle), np.sin(angle)
+    long, thin = np.exp(rng.uniform(*np.log((4.0, 300.0)), 150)) ** -2.0, 0.56**-2.0
+    a, b, d = c * c * long + s * s * thin, c * s * (long - thin), s * s * long + c * c * thin
+    scene["conics"][:, :3] = np.stack([a, b, d], -1)
+    scene["conics"][:, 3] = rng.uniform(0.004, 0.1, 150)
+    ours = Composited(scene, size, "cpu", cooperative=cooperative).planes()[:2]
+    for mine, theirs in zip(ours, oracle(scene, size)[:2], strict=True):
+        assert np.abs(mine - theirs).max() < 3e-4, (
+            "one that is lost is 4e-3 of its colour, less what hides it"
+        )
+
+
 @pytest.mark.parametrize("opacity", [0.0, 1.0])
 def test_extreme_opacities(device, rng, opacity):
     scene, size = make_scene(rng, opacity=(opacity, opacity))
