@@ -211,9 +211,11 @@ class Saver:
         self.attempt("saving the metrics", self._save_metrics)  # last: they tell what has failed
 
     def write_report(self) -> None:
-        """Write ``report.html`` from what is saved."""
-        if not self._missing >= _NEEDED:
-            self.attempt("writing the report", lambda: write_report(self.folder))
+        """Write ``report.html`` from what is saved; the metrics say where that fails."""
+        if self._missing >= _NEEDED:
+            return
+        if not self.attempt("writing the report", lambda: write_report(self.folder)):
+            self.attempt("saving the metrics", self._save_metrics)
 
     def attempt(self, what: str, work: Callable[[], None]) -> bool:
         """Do a part of the run that may fail alone; return whether it succeeded."""

@@ -140,6 +140,8 @@ def test_a_report_that_cannot_be_written_costs_nothing_else(scene: Path, fake, m
     assert {"map.ply", "metrics.json", "frames.csv", "trajectory.txt"} <= {
         p.name for p in Path("o").iterdir()
     }
+    [failure] = json.loads(Path("o/metrics.json").read_text())["failures"]
+    assert failure.startswith("writing the report failed")
 
 
 def test_it_is_made_anew_whatever_is_missing_or_damaged(scene: Path, fake, capsys) -> None:
