@@ -50,6 +50,5 @@ class PoseCorrection:
         if after == 0 or self.indices[after] == index:
             return self.motions[after]
         before, begin, end = after - 1, self.indices[after - 1], self.indices[after]
-        start = self.motions[before]
-        step = se3.se3_log(se3.inverse(start) @ self.motions[after])
-        return start @ se3.se3_exp(step * ((index - begin) / (end - begin)))
+        share = (index - begin) / (end - begin)
+        return se3.interpolate(self.motions[before], self.motions[after], share)

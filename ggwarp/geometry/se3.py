@@ -79,6 +79,12 @@ def inverse(T: ArrayLike) -> Array:
     return out
 
 
+def interpolate(T_begin: ArrayLike, T_end: ArrayLike, share: float) -> Array:
+    """Return the pose [4, 4] at ``share`` of the way from ``T_begin`` to ``T_end``, at a constant twist."""
+    begin = np.asarray(T_begin, np.float64)
+    return begin @ se3_exp(share * se3_log(inverse(begin) @ np.asarray(T_end, np.float64)))
+
+
 def adjoint(T: ArrayLike) -> Array:
     """Return the [6, 6] adjoint of ``T``: Exp(Ad_T xi) = T Exp(xi) T^-1."""
     T = np.asarray(T, np.float64)

@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 from ggwarp.geometry import se3
 from ggwarp.geometry.pose_correction import PoseCorrection
 from ggwarp.runtime.state import Stateful
-from ggwarp.types import Float64
+from ggwarp.types import Float64, StepReport, Verdict
 
 
 class EstimatedPoses(Stateful):
@@ -26,3 +28,33 @@ class EstimatedPoses(Stateful):
         motions = correction.at(list(self.by_frame))
         for (index, T_wc), motion in zip(self.by_frame.items(), motions, strict=True):
             self.by_frame[index] = se3.orthonormalised(motion @ T_wc)
+
+    def final(self, reports: Sequence[StepReport], later: Mapping[int, Float64]) -> dict[int, Float64]:
+        """Return the pose of each frame by all that is known by now.
+
+        A lost frame between two that were tracked is interpolated by its time: what was predicted for it
+        stayed where the camera was lost. Before the first and after the last tracked one it stays so.
+
+        Args:
+            reports: of the frames, in their order.
+            later: frame -> pose that became known after it was reported.
+        """
+        poses, lost = self.by_frame | dict(later), []
+        before: StepReport | None = None
+        for report in reports:
+            if report.verdict is Verdict.LOST and report.index not in later:
+                lost.append(report)
+                continue
+            if before is not None:
+                poses |= _between(before, report, lost, poses)
+            before, lost = report, []
+        return poses
+
+
+def _between(
+    begin: StepReport, end: StepReport, lost: Sequence[StepReport], poses: Mapping[int, Float64]
+) -> dict[int, Float64]:
+    """Return the pose of each ``lost`` frame on the way from that of ``begin`` to that of ``end``."""
+    T_begin, T_end, seconds = poses[begin.index], poses[end.index], end.timestamp - begin.timestamp
+    shares = {r.index: (r.timestamp - begin.timestamp) / seconds for r in lost} if seconds > 0.0 else {}
+    return {i: se3.interpolate(T_begin, T_end, share) for i, share in shares.items() if 0.0 < share < 1.0}

@@ -227,8 +227,8 @@ class Slam:
         return self._tracker.needs_gaussians or self._policy.needs_gaussians
 
     def fitted_poses(self) -> dict[int, Float64]:
-        """Return the pose T_wc [4, 4] of each reported frame; keyframes' as fitted with the map."""
-        return self._poses.by_frame | self._earlier_poses | self._mapper.keyframe_poses()
+        """Return each reported frame's pose T_wc [4, 4]: as fitted with the map, interpolated where lost."""
+        return self._poses.final(self.reports, self._earlier_poses | self._mapper.keyframe_poses())
 
     @property
     def keyframe_indices(self) -> list[int]:

@@ -17,7 +17,7 @@ from ggwarp.evaluation.conventions import doubt_of_truth
 from ggwarp.evaluation.evaluate import Scores
 from ggwarp.evaluation.trajectory import TrajectoryError, absolute_error, relative_error, to_scale
 from ggwarp.results.record import RunRecord
-from ggwarp.types import Verdict
+from ggwarp.types import Float64, Verdict
 
 RESULTS = {
     "trajectory": [
@@ -26,6 +26,7 @@ RESULTS = {
         "frames_skipped",
         "alignment",
         "ate_rmse_cm",
+        "ate_tracked_rmse_cm",
         "ate_live_rmse_cm",
         "ate_mean_cm",
         "rpe_rmse_cm",
@@ -90,11 +91,13 @@ def metrics_of(record: RunRecord, *, wall_s: float, gaussians: int | None) -> di
     """Return the run's figures under their names in ``metrics.json``; None = not measured.
 
     ``ate_live_rmse_cm`` is of the poses as they were reported, the other trajectory figures are of those
-    finally estimated. ``fps`` is frames over the time of the tracking and mapping loop, refinement not
-    counted; ``tracking_ms``, ``loop_ms`` (of it) and ``mapping_ms`` are means per frame; ``wall_s`` runs from
-    the command's start; ``depth_noise_mm`` is the standard deviation of depth that the frames show, at the
-    depth of half of them; ``position_std_cm`` is the largest standard deviation of a position, from the first
-    frame on, as the run itself knows it; ``failures`` has a line for each part of the run that failed.
+    finally estimated: of all frames, lost ones at their interpolated or predicted poses, but for
+    ``ate_tracked_rmse_cm``, which is of the others where some are lost. ``fps`` is frames over the time of
+    the tracking and mapping loop, refinement not counted; ``tracking_ms``, ``loop_ms`` (of it) and
+    ``mapping_ms`` are means per frame; ``wall_s`` runs from the command's start; ``depth_noise_mm`` is the
+    standard deviation of depth that the frames show, at the depth of half of them; ``position_std_cm`` is the
+    largest standard deviation of a position, from the first frame on, as the run itself knows it;
+    ``failures`` has a line for each part of the run that failed.
     """
     reports = record.reports
     ate, rpe, scale = _trajectory_errors(record)
@@ -119,7 +122,10 @@ def metrics_of(record: RunRecord, *, wall_s: float, gaussians: int | None) -> di
         "frames_behind_max": max((r.frames_behind for r in reports), default=None),
         "ate_rmse_cm": None if ate is None else 100.0 * ate.rmse,
         "ate_mean_cm": None if ate is None else 100.0 * ate.mean,
-        "ate_live_rmse_cm": None if ate is None else 100.0 * _live_error(record),
+        "ate_tracked_rmse_cm": None if ate is None else _tracked_error_cm(record),
+        "ate_live_rmse_cm": None
+        if ate is None
+        else _error_cm(record, {r.index: record.live.get(r.index, r.T_wc) for r in reports}),
         "rpe_rmse_cm": None if rpe is None else 100.0 * rpe.rmse,
         "position_std_cm": max((r.position_std_cm for r in reports if r.position_std_cm > 0.0), default=None),
         "depth_noise_mm": _percentile([r.depth_noise_mm for r in reports if r.depth_noise_mm > 0.0], 50),
@@ -211,12 +217,19 @@ def _truth_doubt(record: RunRecord) -> str:
     return doubt_of_truth(to_scale(estimated, true)[0] if record.monocular else estimated, true)
 
 
-def _live_error(record: RunRecord) -> float:
-    """Return the ATE RMSE of the poses as they were reported, metres."""
-    known = [r for r in record.reports if r.index in record.truth]
-    reported = np.stack([record.live.get(r.index, r.T_wc) for r in known])
-    true = np.stack([record.truth[r.index] for r in known])
-    return absolute_error(to_scale(reported, true)[0] if record.monocular else reported, true).rmse
+def _tracked_error_cm(record: RunRecord) -> float | None:
+    """Return the ATE RMSE of the frames that were not lost, cm; None where that is all, or says nothing."""
+    tracked = {r.index: r.T_wc for r in record.reports if r.verdict is not Verdict.LOST}
+    known = sum(index in record.truth for index in tracked)
+    return _error_cm(record, tracked) if 2 <= known and len(tracked) < len(record.reports) else None
+
+
+def _error_cm(record: RunRecord, poses: Mapping[int, Float64]) -> float:
+    """Return the ATE RMSE of ``poses``, by frame, where truth is known, cm."""
+    known = [index for index in poses if index in record.truth]
+    estimated = np.stack([poses[index] for index in known])
+    true = np.stack([record.truth[index] for index in known])
+    return 100.0 * absolute_error(estimated, true, with_scale=record.monocular).rmse
 
 
 def ate_per_frame(record: RunRecord) -> dict[int, float]:

@@ -29,6 +29,13 @@ def test_adjoint_moves_a_twist_through_a_motion(rng: np.random.Generator) -> Non
     )
 
 
+def test_interpolation_turns_and_moves_at_one_rate(rng: np.random.Generator) -> None:
+    T, xi = se3.se3_exp(rng.normal(size=6)), 0.3 * rng.normal(size=6)
+    for share in (0.0, 0.25, 1.0):
+        found = se3.interpolate(T, T @ se3.se3_exp(xi), share)
+        np.testing.assert_allclose(found, T @ se3.se3_exp(share * xi), atol=1e-12)
+
+
 def test_half_turns_keep_their_axis() -> None:
     R = se3.so3_exp([np.pi, 0.0, 0.0])
     np.testing.assert_allclose(np.abs(se3.so3_log(R)), [np.pi, 0.0, 0.0], atol=1e-7)

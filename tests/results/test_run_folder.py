@@ -38,6 +38,17 @@ def test_poses_corrected_later_leave_what_was_reported_in_a_file_of_its_own(reco
     assert metrics["ate_live_rmse_cm"] == pytest.approx(2.0)  # 4 cm, shared by alignment
 
 
+def test_lost_frames_are_also_left_out_of_the_error(record):
+    record.truth[2] = np.eye(4)
+    record.truth[2][0, 3] = 0.12
+    metrics = metrics_of(record, wall_s=1.0, gaussians=0)
+    assert metrics["frames_lost"] == 1
+    assert metrics["ate_tracked_rmse_cm"] == pytest.approx(1.0)
+    assert metrics["ate_rmse_cm"] > 1.5, "the lost frame counts, 4 cm off"
+    record.reports.pop()
+    assert metrics_of(record, wall_s=1.0, gaussians=0)["ate_tracked_rmse_cm"] is None
+
+
 def test_no_truth_no_file(record, tmp_path):
     record.truth = {}
     run_folder.write_trajectories(tmp_path, record)
