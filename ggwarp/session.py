@@ -239,7 +239,7 @@ class Session:
         if record.failure is not None:  # said first: what follows may fail for the same reason
             self._saver.failed(str(record.failure), record.failure.__cause__ or record.failure)
         self._checkpoints.write_now()
-        record.correct(self._slam.fitted_poses())
+        record.correct(self._slam.fitted_poses(), self._slam.keyframe_indices)
         if not self._ended:
             self._saver.judge(self.config.slam.gicp.far if self._dataset.has_depth else None)
 

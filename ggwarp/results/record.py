@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -55,7 +56,22 @@ class RunRecord:
         """Return index -> [4, 4] estimated camera-to-world pose."""
         return {r.index: r.T_wc for r in self.reports}
 
-    def correct(self, poses: dict[int, Float64]) -> None:
-        """Replace the poses of the frames in ``poses``: they became known after they were reported."""
+    def correct(self, poses: dict[int, Float64], mapped: Collection[int] = ()) -> None:
+        """Take in what became known of frames after they were reported.
+
+        Args:
+            poses: index -> [4, 4] pose to replace the one that was reported.
+            mapped: frames in the map; those that were reported as none became keyframes later.
+        """
         self.live = self.live or self.poses()
-        self.reports = [replace(r, T_wc=poses.get(r.index, r.T_wc)) for r in self.reports]
+        late = {r.index for r in self.reports if not r.keyframe}.intersection(mapped)
+        if late:
+            self.counts["mapping_keyframes"] = self.counts.get("mapping_keyframes", 0) + len(late)
+        self.reports = [
+            replace(
+                r,
+                T_wc=poses.get(r.index, r.T_wc),
+                keyframe="mapping" if r.index in late else r.keyframe,
+            )
+            for r in self.reports
+        ]

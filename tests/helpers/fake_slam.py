@@ -59,9 +59,10 @@ class FakeSlam:
 
     def _report(self, frame, iterations):
         T_wc = np.eye(4) if frame.T_wc is None else frame.T_wc
+        keyframe = {0: "tracking", 1: "mapping"}.get(frame.index, "")
         return StepReport(
-            frame.index, frame.timestamp, T_wc, Verdict.CONVERGED, "", 1.0, 0.0, "", 1.0, 2.0, iterations, 7,
-            loss=0.1, latency_ms=1.0,
+            frame.index, frame.timestamp, T_wc, Verdict.CONVERGED, "", 1.0, 0.0, keyframe, 1.0, 2.0,
+            iterations, 7, loss=0.1, latency_ms=1.0,
         )  # fmt: skip
 
     def render(self, T_wc):

@@ -38,6 +38,16 @@ def test_poses_corrected_later_leave_what_was_reported_in_a_file_of_its_own(reco
     assert metrics["ate_live_rmse_cm"] == pytest.approx(2.0)  # 4 cm, shared by alignment
 
 
+def test_a_frame_that_was_mapped_later_is_a_keyframe(record, tmp_path):
+    for _ in range(2):
+        record.correct({}, mapped=[2])
+    run_folder.write_frames(tmp_path, record)
+    with (tmp_path / "frames.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["keyframe"] for row in rows] == ["", "", "mapping", ""]
+    assert metrics_of(record, wall_s=1.0, gaussians=0)["mapping_keyframes"] == 2
+
+
 def test_lost_frames_are_also_left_out_of_the_error(record):
     record.truth[2] = np.eye(4)
     record.truth[2][0, 3] = 0.12

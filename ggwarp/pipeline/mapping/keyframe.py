@@ -222,6 +222,12 @@ class Keyframes(Sequence[Keyframe], Stateful):
         T_cw = se3.inverse(se3.orthonormalised(T_wc))
         self.states[number].T_cw.assign(T_cw[None].astype(np.float32))
 
+    def move(self, motions: Float64) -> None:
+        """Move each keyframe by its motion [n, 4, 4] of the world; those that stay keep every bit."""
+        for number, motion in enumerate(motions):
+            if (motion != np.eye(4)).any():
+                self.set_pose(number, motion @ self.pose(number))
+
     def exposure(self, number: int) -> Exposure:
         """Return the exposure of keyframe ``number`` (-1: the newest) as it is now."""
         values = to_host(self.states[number].exposure)[0].tolist()

@@ -25,6 +25,7 @@ from ggwarp.pipeline.mapping.exposure import ExposureModel
 from ggwarp.pipeline.mapping.keyframe import Keyframes, upload
 from ggwarp.pipeline.mapping.keyframe_sampler import KeyframeSampler
 from ggwarp.pipeline.mapping.optimiser import MapOptimiser, OptimiserConfig
+from ggwarp.pipeline.mapping.passed_over import PassedOver
 from ggwarp.pipeline.mapping.seeding import (
     DEPTH_TOLERANCE,
     SeedingConfig,
@@ -77,6 +78,7 @@ class Mapper(Stateful):
         "_moving",
         "left_out",
         "refused",
+        "_passed_over",
     )
 
     def __init__(
@@ -120,6 +122,7 @@ class Mapper(Stateful):
         # Depth that is an estimate proves nothing.
         self._moving = MovingPixels(renderer.camera) if depth_completion is None else None
         self.refused = False
+        self._passed_over = PassedOver()
         self.left_out = {"pictures_left_out": 0, "pixels_left_out": 0, "keyframe_pixels": 0}
 
     @property
@@ -136,7 +139,8 @@ class Mapper(Stateful):
         """Make ``frame`` a keyframe and add the Gaussians that it shows and the map lacks.
 
         What of it contradicts the map or the keyframes before it is left out, and what it contradicts of
-        those; a picture that is of no use is left out whole.
+        those; a picture that is of no use is left out whole. The last frame before it that is of use, and no
+        keyframe yet, then becomes one: what was seen by then may not be seen again.
 
         Args:
             T_wc: [4, 4] its pose.
@@ -145,11 +149,17 @@ class Mapper(Stateful):
         Returns:
             Whether it became one.
         """
+        self.refused = not self._insert(frame, T_wc, exposure)
+        while self.refused and self._passed_over and not self._insert(*self._passed_over.pop()):
+            pass
+        self._passed_over.clear()
+        return not self.refused
+
+    def _insert(self, frame: Frame, T_wc: Float64, exposure: Exposure | None = None) -> bool:
         rendered = self.render(T_wc) if self.map.count else None
         measured, wrong = frame, None  # what is contradicted stays in the picture, but does not count
         if self._moving is not None:
             wrong = self._contradicting(frame, T_wc, rendered, self._moving)
-            self.refused = wrong is None
             if wrong is None:
                 return False
             frame = without_pixels(frame, wrong)
@@ -217,19 +227,17 @@ class Mapper(Stateful):
         T_cw = se3.inverse(self._keyframes.pose(number))
         rows, columns, inside = self._renderer.camera.pixels_of(se3.transform_points(T_cw, means))
         gone = (born == number) & inside & pixels[rows, columns]
-        if gone.any():
-            self.map.keep(wp.array((~gone).astype(np.int32), dtype=int, device=self._device))
+        self.map.keep(wp.array((~gone).astype(np.int32), dtype=int, device=self._device))
 
     def move(self, correction: PoseCorrection) -> None:
         """Let keyframes follow a closed loop, and each Gaussian its keyframe, with Adam's memory of it."""
         motions = correction.at(self.keyframe_indices)
         if not len(motions):
             return
-        for number, motion in enumerate(motions):
-            if (motion != np.eye(4)).any():
-                self._keyframes.set_pose(number, motion @ self._keyframes.pose(number))
+        self._keyframes.move(motions)
         if self._moving is not None:
             self._moving.move(lambda number: motions[number])
+        self._passed_over.move(correction)
         fields = self.map.fields
         move_gaussians(
             wp.array(motions.astype(np.float32), dtype=wp.mat44, device=self._device),
@@ -256,6 +264,8 @@ class Mapper(Stateful):
         """
         if self._depth_completion is not None:
             self._depth_completion.observe(frame, T_wc)
+        elif self.ready and not self.refused and frame.index != self._keyframes.states[-1].index:
+            self._passed_over.add(frame, T_wc)
         if skip_objects or self.objects is None or not self.ready:
             return
         if self.objects.vote_is_due(frame, newest=self._keyframes.states[-1].index):

@@ -6,8 +6,12 @@ from dataclasses import replace
 import numpy as np
 
 from ggwarp.datasets.built_in.synthetic import SyntheticOffice
+from ggwarp.geometry import se3
+from ggwarp.geometry.pose_correction import PoseCorrection
+from ggwarp.pipeline.mapping.passed_over import PassedOver
 from ggwarp.pipeline.mapping.unusable_pictures import clipped_share, different_share, unusable
 from ggwarp.pipeline.slam import Slam, SlamConfig
+from ggwarp.pipeline.tracking.keyframe_policy import KeyframeConfig
 from ggwarp.types import Frame, Rendered
 
 OFFICE = SyntheticOffice(scale=0.15)
@@ -60,9 +64,10 @@ def test_a_map_that_explains_nothing_contradicts_nothing():
         assert clipped_share(white, rendered) == 0.0 == different_share(white, rendered)
 
 
-def _mapped(frames: list[Frame]) -> tuple[Slam, list[int]]:
+def _mapped(frames: list[Frame], keyframes: KeyframeConfig | None = None) -> tuple[Slam, list[int]]:
     """The system after ``frames``, and those that its reports call keyframes."""
-    slam = Slam(SlamConfig(use_identity=False), OFFICE.camera, OFFICE.camera)
+    config = SlamConfig(use_identity=False, keyframes=keyframes or KeyframeConfig())
+    slam = Slam(config, OFFICE.camera, OFFICE.camera)
     reports = [slam.step(frame) for frame in frames]
     return slam, [r.index for r in reports if r.keyframe]
 
@@ -74,6 +79,32 @@ def test_pictures_that_are_left_out_are_counted_and_the_next_takes_their_place(c
     frames[white] = replace(frames[white], rgb=np.full_like(frames[white].rgb, 255))
     slam, keyframes = _mapped(frames)
     assert white not in keyframes and white + 1 in keyframes and white + 1 not in usual
-    assert keyframes == slam.keyframe_indices
+    assert white - 1 not in keyframes, "what was reported of it"
+    assert slam.keyframe_indices == sorted([*keyframes, white - 1])
     assert slam.counts["pictures_left_out"] == 1
     assert f"frame {white} is not mapped" in caplog.text
+
+
+def test_the_last_good_frame_before_bad_pictures_is_mapped():
+    """It alone shows what has left the view by the time that pictures are good again."""
+    rare = KeyframeConfig(overlap=0.0, mapping_interval=4)
+    frames = [OFFICE[i] for i in range(12)]
+    slam, usual = _mapped(frames, rare)
+    assert slam.keyframe_indices == usual == [0, 4, 8]
+    for i in range(7, 10):
+        frames[i] = replace(frames[i], rgb=np.full_like(frames[i].rgb, 255))
+    slam, reported = _mapped(frames, rare)
+    assert slam.keyframe_indices == [0, 4, 6, 10] and reported == [0, 4, 10]
+
+
+def test_frames_passed_over_follow_a_loop_and_are_few():
+    passed = PassedOver()
+    for i in range(9):
+        passed.add(OFFICE[i], np.eye(4))
+    motion = se3.se3_exp([0.1, 0.0, 0.0, 0.0, 0.2, 0.0])
+    passed.move(PoseCorrection((0, 20), np.stack([np.eye(4), motion])))
+    frame, T_wc = passed.pop()
+    assert frame.index == 8 and len(passed) < 8
+    np.testing.assert_allclose(T_wc, se3.interpolate(np.eye(4), motion, 0.4), atol=1e-12)
+    passed.clear()
+    assert not passed
