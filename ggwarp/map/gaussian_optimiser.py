@@ -45,6 +45,11 @@ class TargetView(Protocol):
         ...
 
     @property
+    def depth_weights(self) -> wp.array | None:
+        """[h, w] uint8 how much each reading counts, of 255; None: all alike."""
+        ...
+
+    @property
     def has_depth(self) -> bool:
         """Whether colour counts only where there is depth."""
         ...
@@ -58,6 +63,7 @@ class UploadedView:
     colour: wp.array
     depth: wp.array
     has_depth: bool = True
+    depth_weights: wp.array | None = None
 
 
 class GaussianOptimiser(Stateful):
@@ -133,6 +139,7 @@ class GaussianOptimiser(Stateful):
             depth_weight=self._depth_weight,
             d_max=_DEPTH_UNIT,
             mask_colour=view.has_depth,
+            depth_weights=view.depth_weights,
             device=self._device,
         )
 

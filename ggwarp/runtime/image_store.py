@@ -33,7 +33,7 @@ _LEVEL = 1
 _BLOCK = 4096
 """Places in the file are whole blocks with a quarter to spare, so that labels that change fit again."""
 _HELD = 4
-"""So many arrays used last stay in memory, whatever the budget: all of one keyframe, and one more."""
+"""So many arrays used last stay in memory, whatever the budget: all that a keyframe has at most."""
 
 
 @dataclass(frozen=True)

@@ -92,6 +92,17 @@ def inside_image(line: int, width: int) -> vec16:
 
 
 @wp.func
+def byte_shares(image: wp.array2d[wp.uint8], row: int, line: int) -> vec16:
+    """``image`` in the lanes of ``line`` of a row, 255 being 1; 1 where there is no image."""
+    shares = vec16(1.0)
+    if image.shape[0] > 0:
+        for k in range(16):
+            column = wp.min(16 * line + k, image.shape[1] - 1)
+            shares[k] = float(image[row, column]) * (1.0 / 255.0)
+    return shares
+
+
+@wp.func
 def total_of(v: vec16) -> float:
     return wp.dot(v, vec16(1.0))
 

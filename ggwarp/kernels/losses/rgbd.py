@@ -4,8 +4,8 @@
     L = colour_weight ((1 - l) mean|x - y| + l (1 - mean SSIM)) + depth_weight mean|D - D'| / d_max
 
 x is the render and y the target, both multiplied by the mask "target depth > 0"; the depth
-term uses the same mask. Means are over *all* H W (3) values, masked ones included, as in the
-papers' code.
+term uses the same mask, and may weigh each reading. Means are over *all* H W (3) values, masked
+ones included, as in the papers' code.
 """
 
 from __future__ import annotations
@@ -42,6 +42,7 @@ def _statistics_kernel(
     image: wp.array3d[wp.float32],
     colour: wp.array3d[wp.uint8],
     depth: wp.array2d[wp.float32],
+    weights: wp.array2d[wp.uint8],
     statistics: wp.array2d[vec16],
     partials: wp.array[wp.vec4],
     d_image: wp.array3d[wp.float32],
@@ -67,12 +68,15 @@ def _statistics_kernel(
         if valid:
             masked_sum += 1.0
             if with_depth != 0:
+                weight = float(1.0)
+                if weights.shape[0] > 0:
+                    weight = float(weights[row, column]) * (1.0 / 255.0)
                 error = image[3, row, column] - d
-                depth_sum += wp.abs(error) / d_max
+                depth_sum += weight * wp.abs(error) / d_max
                 if error > 0.0:
-                    gradient = depth_scale
+                    gradient = weight * depth_scale
                 if error < 0.0:
-                    gradient = -depth_scale
+                    gradient = -weight * depth_scale
         if with_depth != 0:
             d_image[3, row, column] = gradient
     partials[item] = wp.vec4(0.0, 0.0, depth_sum, masked_sum)
@@ -119,6 +123,7 @@ def rgbd_loss(
     depth_weight: float = 0.1,
     d_max: float = 10.0,
     mask_colour: bool = True,
+    depth_weights: Any = None,
     device: Any,
 ) -> None:
     """Evaluate the colour and depth losses of a render and write their adjoint.
@@ -133,6 +138,7 @@ def rgbd_loss(
         colour_weight, dssim, depth_weight: l_rgb, l_dssim and l_d of eqs. 5-6.
         d_max: depth unit of eq. 7, metres.
         mask_colour: False compares colour also where there is no depth.
+        depth_weights: [H, W] uint8 how much each reading counts in the depth term, of 255; None: all alike.
         device: a Warp device.
     """
     l1_weight, ssim_weight = colour_weight * (1.0 - dssim), -colour_weight * dssim
@@ -147,6 +153,7 @@ def rgbd_loss(
             depth_weight=depth_weight,
             d_max=d_max,
             mask_colour=mask_colour,
+            depth_weights=depth_weights,
             device=device,
         )
         return
@@ -157,7 +164,10 @@ def rgbd_loss(
     launch_split(
         _statistics_kernel,
         height * pieces,
-        inputs=[pieces, width, int(mask_colour), int(with_depth), d_max, depth_scale, image, colour, depth],
+        inputs=[
+            *(pieces, width, int(mask_colour), int(with_depth), d_max, depth_scale),
+            *(image, colour, depth, depth_weights),
+        ],
         outputs=[workspace.statistics, workspace.partials, d_image],
         device=device,
         min_piece=16,

@@ -17,6 +17,7 @@ from ggwarp.kernels.losses.pixel_lines import (
     LINE,
     RowWorkspace,
     band_means,
+    byte_shares,
     inside_image,
     load_line,
     plane_bytes,
@@ -45,6 +46,7 @@ def _colours_kernel(
     image: wp.array3d[float],
     colour: wp.array3d[wp.uint8],
     depth: wp.array2d[float],
+    weights: wp.array2d[wp.uint8],
     colours: wp.array3d[vec16],
     means: wp.array3d[vec16],
     partials: wp.array[wp.vec4],
@@ -100,11 +102,12 @@ def _colours_kernel(
         if with_depth != 0:
             rendered = image_lines[at + 3 * plane]
             gradient = vec16()
+            weight = byte_shares(weights, row, j)
             for k in range(16):
                 error = wp.where(valid[k] > 0.0, rendered[k] - d[k], 0.0)
-                errors[k] = errors[k] + wp.abs(error)
+                errors[k] = errors[k] + weight[k] * wp.abs(error)
                 gradient[k] = wp.where(error > 0.0, depth_scale, wp.where(error < 0.0, -depth_scale, 0.0))
-            d_image_lines[at + 3 * plane] = gradient
+            d_image_lines[at + 3 * plane] = wp.cw_mul(gradient, weight)
         j += 1
     partials[row] = wp.vec4(0.0, 0.0, total_of(errors) / d_max, total_of(masked))
     store_product_means(colours, means, row)
@@ -276,6 +279,7 @@ def rgbd_loss_by_rows(
     depth_weight: float,
     d_max: float,
     mask_colour: bool,
+    depth_weights: Any,
     device: Any,
 ) -> None:
     """Do what :func:`ggwarp.kernels.losses.rgbd.rgbd_loss` does, on a CPU.
@@ -293,7 +297,7 @@ def rgbd_loss_by_rows(
         height,
         inputs=[
             *(int(mask_colour), int(with_depth), d_max, depth_weight * n / d_max),
-            *(image, colour, depth),
+            *(image, colour, depth, depth_weights),
         ],
         outputs=[w.colours, w.means, w.partials, d_image],
         device=device,

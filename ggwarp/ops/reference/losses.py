@@ -29,6 +29,7 @@ def rgbd_losses(
     *,
     d_max: float = 10.0,
     mask_colour: bool = True,
+    depth_weights: torch.Tensor | None = None,
 ) -> dict[str, torch.Tensor]:
     """Return the unweighted terms of GG-SLAM eqs. 6-7.
 
@@ -38,6 +39,7 @@ def rgbd_losses(
         depth: [H, W] target depth, metres; 0, NaN or infinite: masked out.
         d_max: depth unit, metres.
         mask_colour: apply the depth mask to both colours, too.
+        depth_weights: [H, W] how much each reading counts in the depth term, 0..1; None: all alike.
 
     Returns:
         ``l1``, ``dssim`` (1 - SSIM), ``depth`` and ``masked``, means over all pixels.
@@ -52,6 +54,6 @@ def rgbd_losses(
     return {
         "l1": (x - y).abs().mean(),
         "dssim": 1.0 - ssim_map(x, y).mean(),
-        "depth": error.abs().mean() / d_max,
+        "depth": (error.abs() if depth_weights is None else depth_weights * error.abs()).mean() / d_max,
         "masked": mask.to(x.dtype).mean(),
     }

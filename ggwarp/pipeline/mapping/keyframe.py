@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, overload
 
+import cv2
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
@@ -58,14 +59,16 @@ class Keyframe(KeyframeState):
         colour: [h, w, 3] uint8.
         depth: [h, w] float, metres, 0 = none.
         labels: [h, w] int class of each pixel; None where there is no mask.
+        depth_weights: [h, w] uint8 how much each reading counts in the loss, of 255; None: all alike.
     """
 
     colour: wp.array
     depth: wp.array
     labels: wp.array | None
+    depth_weights: wp.array | None
 
 
-IMAGES = ("colour", "depth", "labels")
+IMAGES = ("colour", "depth", "labels", "depth_weights")
 """What of a keyframe is in the store."""
 
 
@@ -85,6 +88,7 @@ def upload(
     """
     T_cw = se3.inverse(T_wc).astype(np.float32)
     depth = np.zeros(frame.rgb.shape[:2], np.float32) if frame.depth is None else frame.depth
+    weights = None if frame.depth is None else _loss_weights(frame)
     row: Any = vec6
     return Keyframe(
         index=frame.index,
@@ -98,8 +102,22 @@ def upload(
         colour=wp.array(frame.rgb, dtype=wp.uint8, device=device),
         depth=wp.array(depth, dtype=float, device=device),
         labels=None if labels is None else wp.array(labels, dtype=int, device=device),
+        depth_weights=None if weights is None else wp.array(weights, dtype=wp.uint8, device=device),
         checksum=frame_checksum(frame.rgb, frame.depth),
     )
+
+
+def _loss_weights(frame: Frame) -> NDArray[np.uint8] | None:
+    """Return how much each reading counts in the loss, [h, w] of 255; None: all alike.
+
+    What a frame states goes by the inverse variance, as registration's squares need it. An error that
+    counts by its size goes by the inverse of the deviation, as that of a Laplace distribution.
+    """
+    if frame.depth_weight is None:
+        return None
+    size = frame.rgb.shape[1], frame.rgb.shape[0]
+    weights = cv2.resize(frame.depth_weight, size, interpolation=cv2.INTER_AREA)
+    return np.rint(255.0 * np.sqrt(np.clip(weights, 0.0, 1.0))).astype(np.uint8)
 
 
 POSE = ("T_cw", "pose_moments", "pose_steps")

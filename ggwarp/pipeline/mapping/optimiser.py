@@ -144,7 +144,8 @@ class MapOptimiser(Stateful):
         change = (POSE if with_pose else ()) + (EXPOSURE if with_exposure else ())
         if self._recorded:
             buffered = self._buffer.load(keyframe)
-            variant = (buffered.has_depth, buffered.labels is not None, with_3d, change)
+            given = buffered.labels is not None, buffered.depth_weights is not None
+            variant = (buffered.has_depth, *given, with_3d, change)
             self._graphs.run(variant, lambda: self._fit(buffered, with_3d, change), arrays=self._allocation)
             self._buffer.store(keyframe, change)
         else:

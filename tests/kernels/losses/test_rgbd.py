@@ -33,7 +33,7 @@ def scene(rng, height, width, channels=4, holes=0.2):
     return image, colour, depth
 
 
-def run(image, colour, depth, device, *, by_rows=None, **options):
+def run(image, colour, depth, device, *, by_rows=None, weights=None, **options):
     d_image = wp.full(image.shape, 7.0, dtype=wp.float32, device=device)
     losses = wp.zeros(rgbd.LOSS_COUNT, dtype=wp.float32, device=device)
     rgbd.rgbd_loss(
@@ -43,17 +43,20 @@ def run(image, colour, depth, device, *, by_rows=None, **options):
         d_image=d_image,
         losses=losses,
         workspace=allocate_loss(*depth.shape, device=device, by_rows=by_rows),
+        depth_weights=None if weights is None else wp.array(weights, dtype=wp.uint8, device=device),
         device=device,
         **{**WEIGHTS, **options},
     )
     return losses.numpy(), d_image.numpy()
 
 
-def oracle(image, colour, depth, mask_colour=True):
+def oracle(image, colour, depth, mask_colour=True, weights=None):
     height, width = depth.shape
     x = torch.tensor(image[:, :height, :width].astype(np.float64), requires_grad=True)
     target = torch.tensor(colour.astype(np.float64) / 255.0)
-    terms = rgbd_losses(x, target, torch.tensor(depth.astype(np.float64)), mask_colour=mask_colour)
+    shares = None if weights is None else torch.tensor(weights / 255.0)
+    target_depth = torch.tensor(depth.astype(np.float64))
+    terms = rgbd_losses(x, target, target_depth, mask_colour=mask_colour, depth_weights=shares)
     rgb = (1 - WEIGHTS["dssim"]) * terms["l1"] + WEIGHTS["dssim"] * terms["dssim"]
     (WEIGHTS["colour_weight"] * rgb + WEIGHTS["depth_weight"] * terms["depth"]).backward()
     values = [float(terms[name].detach()) for name in ("l1", "dssim", "depth", "masked")]
@@ -85,6 +88,21 @@ def test_matches_the_oracle(rng, device, by_rows, channels, mask_colour):
     padding[:, :37, :45] = 0.0
     assert not padding.any()
     assert (d_image[planes:] == 7.0).all()
+
+
+@pytest.mark.parametrize("channels", [3, 4])
+@pytest.mark.parametrize("by_rows", [None, False], ids=["default", "as on CUDA"])
+def test_readings_that_are_weighed(rng, device, by_rows, channels):
+    image, colour, depth = scene(rng, 37, 45, channels)
+    weights = rng.integers(0, 256, depth.shape, dtype=np.uint8)
+    losses, d_image = run(image, colour, depth, device, by_rows=by_rows, weights=weights)
+    want, gradient = oracle(image, colour, depth, weights=weights)
+    np.testing.assert_allclose(losses[:4], want, rtol=2e-5, atol=1e-6)
+    for c in range(channels):
+        assert_gradient(d_image[c, :37, :45], gradient[c])
+    for full in (None, np.full_like(weights, 255)):
+        same = run(image, colour, depth, device, by_rows=by_rows, weights=full)
+        np.testing.assert_allclose(same[0][:4], oracle(image, colour, depth)[0], rtol=2e-5, atol=1e-6)
 
 
 @settings(max_examples=20)
