@@ -110,6 +110,21 @@ def _deflate(data: bytes) -> bytes:
     return packer.compress(data) + packer.flush()
 
 
+def seven_scenes(path: Path) -> None:
+    """Write a Kinect's pictures as 7-Scenes has them: depth as seen from its own place, not registered."""
+    depth_camera = Camera(640, 480, 585.0, 585.0, 320.0, 240.0)
+    colour_camera = Camera(640, 480, 525.0, 525.0, 320.0, 240.0)
+    moved = np.eye(4)
+    moved[:3, :3] = se3.so3_exp([0.00816, -0.00789, -0.00271])
+    moved[:3, 3] = -0.02555894, 0.00010110, 0.00203183
+    for i in range(FRAMES):
+        raw = millimetres(look(depth_camera, pose(i) @ moved)[1])
+        raw[:2] = 65535
+        write(path / f"frame-{i:06d}.color.png", png(look(colour_camera, pose(i))[0]))
+        write(path / f"frame-{i:06d}.depth.png", png(raw))
+        write(path / f"frame-{i:06d}.pose.txt", table(pose(i)))
+
+
 def bundle_fusion(path: Path, *, info: bool = True) -> None:
     for i in range(FRAMES):
         rgb, depth = look(COLOUR, pose(i))
@@ -254,7 +269,8 @@ LAYOUTS: dict[str, Callable[[Path], object]] = {
     "scannetpp-stream": lambda path: scannetpp(path / "iphone", "stream"),
     "scannetpp-lz4": lambda path: scannetpp(path / "iphone", "lz4"),
     "scannetpp-deflate": lambda path: scannetpp(path, "deflate"),
-    "7-scenes": bundle_fusion,
+    "7-scenes": seven_scenes,
+    "7-scenes-info": bundle_fusion,
     "nerfstudio": nerfstudio,
     "nerfstudio-capture": lambda path: nerfstudio(path, capture=True),
     "icl-nuim": icl_nuim,

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,12 +11,14 @@ import cv2
 import numpy as np
 
 from bag_recordings import mcap, realsense, ros1, ros2
-from distributed_data_sets import LAYOUTS, sens
-from phone_recordings import r3d
-from recorded_scene import COLOUR, look, millimetres, pose
+from distributed_data_sets import LAYOUTS, bonn, sens
+from phone_recordings import r3d, write
+from recorded_scene import COLOUR, jpeg, look, millimetres, png, pose, quaternion
 
 FRAMES = 3
-_FILES = ("scan.r3d", "scan.sens", "scan.bag", "scan.mcap", "scan")
+_FILES = ("scan.r3d", "scan.sens", "scan.bag", "scan.mcap", "scan", "rgbd_bonn_static")
+WITHOUT_TRUTH = ("open3d",)
+"""Of :data:`KINDS`, those that say nothing of where the camera was."""
 
 
 def plain(path: Path, kind: str) -> None:
@@ -55,7 +58,18 @@ def tum(path: Path) -> None:
     plain(path, "png")
     for name, folder in (("rgb", "color"), ("depth", "depth")):
         (path / f"{name}.txt").write_text("".join(f"{i / 30:.6f} {folder}/{i}.png\n" for i in range(FRAMES)))
-    (path / "groundtruth.txt").write_text("".join(f"{i / 30:.6f} {i} 0 0 0 0 0 1\n" for i in range(FRAMES)))
+    rows = (map(str, [f"{i / 30:.6f}", *pose(i)[:3, 3], *quaternion(pose(i))]) for i in range(FRAMES))
+    (path / "groundtruth.txt").write_text("".join(" ".join(row) + "\n" for row in rows))
+
+
+def open3d(path: Path) -> None:
+    """Write what Open3D's recorder of a RealSense does; its matrix is by columns."""
+    for i in range(FRAMES):
+        rgb, depth = look(COLOUR, pose(i))
+        write(path / f"color/{i:06d}.jpg", jpeg(rgb))
+        write(path / f"depth/{i:06d}.png", png(millimetres(depth)))
+    camera = {"width": 80, "height": 60, "intrinsic_matrix": COLOUR.matrix.T.ravel().tolist()}
+    write(path / "camera_intrinsic.json", json.dumps(camera))
 
 
 KINDS: dict[str, Callable[[Path], object]] = {
@@ -66,6 +80,8 @@ KINDS: dict[str, Callable[[Path], object]] = {
     "realsense": lambda path: realsense(path / "scan.bag"),
     "ros2": lambda path: ros2(path / "scan", registered=True, compressed=False),
     "mcap": lambda path: mcap(path / "scan.mcap", registered=False, compressed=False),
+    "bonn": lambda path: bonn(path / "rgbd_bonn_static"),
+    "open3d": open3d,
     "replica": lambda path: plain(path, "replica"),
     "png": lambda path: plain(path, "png"),
     "tiff": lambda path: plain(path, "tiff"),

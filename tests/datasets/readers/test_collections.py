@@ -17,14 +17,14 @@ from distributed_data_sets import (
     scannet,
     scannetpp,
     sens,
+    seven_scenes,
     table,
 )
 from ggwarp.datasets import DatasetError, FrameError, open_dataset
 from ggwarp.datasets.source import source_of
-from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from phone_recordings import FRAMES, opened, write
-from recorded_scene import COLOUR, check_truth, look, millimetres, png, pose
+from recorded_scene import COLOUR, check_truth, look, pose
 
 
 @pytest.mark.parametrize("name", LAYOUTS)
@@ -120,17 +120,8 @@ def test_lost_poses_of_scannet_are_no_truth(tmp_path: Path, caplog: pytest.LogCa
 
 
 def test_7_scenes_registers_its_depth(tmp_path: Path) -> None:
-    camera, colour = (
-        Camera(640, 480, 585.0, 585.0, 320.0, 240.0),
-        Camera(640, 480, 525.0, 525.0, 320.0, 240.0),
-    )
-    rgb, want = look(colour, pose(0))
-    T = np.eye(4)
-    T[:3, :3] = se3.so3_exp([0.00816, -0.00789, -0.00271])
-    T[:3, 3] = -0.02555894, 0.00010110, 0.00203183
-    write(tmp_path / "frame-000000.color.png", png(rgb))
-    write(tmp_path / "frame-000000.depth.png", png(millimetres(look(camera, pose(0) @ T)[1])))
-    depth = opened(tmp_path)[0].depth
+    seven_scenes(tmp_path)
+    depth, want = opened(tmp_path)[0].depth, look(Camera(640, 480, 525.0, 525.0, 320.0, 240.0), pose(0))[1]
     assert depth is not None
     seen = depth > 0
     assert seen.mean() > 0.78 and np.median(np.abs(depth - want)[seen]) < 3e-3
