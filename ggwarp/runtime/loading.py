@@ -32,6 +32,7 @@ ONE_DEVICE = {
     "raster.composite_cpu": "cpu",
     "raster.composite_cpu_adjoint": "cpu",
     "raster.composite_cuda": "cuda",
+    "raster.composite_cuda_adjoint": "cuda",
     "identity.cross_entropy_pixels": "cuda",
     "losses.rgbd_rows": "cpu",
     "raster.tiles_parallel": "cuda",

@@ -4,7 +4,7 @@
 import json
 
 import benchmark
-from benchmarking.cubins import resources, sass
+from benchmarking.cubins import lanes, resources, sass
 from benchmarking.record import Check, Record, Section
 from benchmarking.tables import markdown
 
@@ -51,9 +51,26 @@ def test_a_loop_and_the_ways_through_it():
     assert (skipped.length, blended.length, whole.length) == (7, 11, 13)
 
 
-def test_places_that_differ_between_lanes_are_told_apart():
-    blocks = listing()
-    assert sass.varying_addresses(blocks) == {0x80}, "the store's, not the load's"
+def test_a_load_of_one_place_and_a_store_of_32():
+    assert lanes.wavefronts(listing()) == {0x20: 1, 0x80: 1}
+
+
+def places(code: str) -> list[int]:
+    """Wavefronts of instructions, the thread's index being in R0."""
+    lines = ["S2R R0, SR_TID.X", *code.strip().splitlines(), "EXIT"]
+    text = "".join(f"        /*{16 * k:04x}*/  {line.strip()} ;\n" for k, line in enumerate(lines))
+    ((_, found),) = sass.parse(f"Function : some\n{text}").items()
+    return list(lanes.wavefronts(sass.blocks_of(found)).values())
+
+
+def test_places_follow_from_bits_of_the_index():
+    assert places("LEA R1, R0, UR4, 0x4 \n LDS.128 R4, [R1]") == [4], "32 quads are 512 bytes"
+    assert places("SHF.R.U32.HI R1, RZ, 0x5, R0 \n LDS R2, [R1]") == [1], "the same in a warp"
+    assert places("LOP3.LUT R1, R0, 0x10, RZ, 0xc0, !PT \n LDS.128 R4, [R1]") == [1], "two quads"
+    assert places("LOP3.LUT R1, R0, 0x1f, RZ, 0xfc, !PT \n LDS.128 R4, [R1]") == [1], "all bits are set"
+    assert places("LOP3.LUT R1, R0, 0xf, RZ, 0xc0, !PT \n IMAD R1, R1, 0x90, RZ \n LDS.128 R4, [R1]") == [2]
+    assert places("LDS R1, [R0] \n MOV R1, R9 \n LDS.64 R2, [R1+0x10]") == [1, 1], "written anew"
+    assert places("LDG.E R1, [R0.64] \n LDS.64 R2, [R1]") == [2], "loaded from places that differ"
 
 
 def test_a_composite_s_row():

@@ -13,7 +13,12 @@ from typing import Any
 
 import warp as wp
 
-from ggwarp.kernels.raster import composite_cpu, composite_cpu_adjoint, composite_cuda
+from ggwarp.kernels.raster import (
+    composite_cpu,
+    composite_cpu_adjoint,
+    composite_cuda,
+    composite_cuda_adjoint,
+)
 from ggwarp.kernels.raster.composite_patches import TILES
 from ggwarp.kernels.raster.project import Splats
 from ggwarp.kernels.raster.project_adjoint import SlotGradients
@@ -114,7 +119,7 @@ def composite_adjoint(
         d_transmittance,
         int(identity_shapes),
     ]
-    kernels = (composite_cpu_adjoint.adjoint, composite_cuda.ADJOINT[channels])
+    kernels = (composite_cpu_adjoint.adjoint, composite_cuda_adjoint.ADJOINT[channels])
     _launch(kernels, tiles, inputs, [out.rows, out.identities], cooperative)
 
 

@@ -235,18 +235,31 @@ def test_nan_stays_in_its_tiles(device, rng):
     assert np.isfinite(image[:, 16:]).all() and np.isfinite(image[:, :, 16:]).all()
 
 
-def test_splats_behind_an_opaque_wall_get_nothing(device, rng):
+@pytest.mark.parametrize("cooperative", [None, True], ids=["own form", "CUDA form"])
+def test_splats_behind_an_opaque_wall_get_nothing(device, rng, cpu_blocks, cooperative):
     """More splats than any chunk or block; the wall ends every pixel, so what follows is never reached."""
     scene, size = make_scene(rng, n=700, width=16, height=16, channels=4, sigma=(2, 4))
     wall = np.argsort(scene["depths"])[:40]
     scene["conics"][wall] = (1e-6, 0, 1e-6, 0.9)
     seeds = random_gradients(rng, 4, size)
-    run = Composited(scene, size, device, everywhere=True)
+    run = Composited(scene, size, device, everywhere=True, cooperative=cooperative)
     assert run.slots == 700 and (run.planes()[1] < 1e-4).all()
     gradients = run.adjoint(*seeds)
     _, theirs = oracle(scene, size, *seeds)
     assert not gradients[3][np.argsort(scene["depths"])[40:]].any()
     assert_same_direction(gradients[3], theirs[3])
+
+
+@pytest.mark.parametrize("spread", [(0.3, 1.0), (8.0, 40.0)], ids=["small", "large"])
+def test_cuda_form_matches_the_oracle_where_few_or_all_warps_see_a_splat(rng, cpu_blocks, spread):
+    scene, size = make_scene(rng, n=400, width=40, height=24, sigma=spread, opacity=(0.02, 0.2))
+    seeds = random_gradients(rng, 20, size)
+    run = Composited(scene, size, "cpu", cooperative=True)
+    values, theirs = oracle(scene, size, *seeds)
+    for mine, reference_plane in zip(run.planes()[:2], values, strict=False):
+        assert np.abs(mine - reference_plane).max() < 5e-5
+    for mine, reference_gradient in zip(run.adjoint(*seeds), theirs, strict=True):
+        assert_same_direction(mine, reference_gradient, tolerance=5e-4)
 
 
 @settings(max_examples=15)

@@ -18,7 +18,8 @@ from typing import Any
 
 import warp as wp
 
-from benchmarking.cubins.sass import Block, Loop, blocks_of, loops_of, parse, varying_addresses, way_through
+from benchmarking.cubins.lanes import wavefronts
+from benchmarking.cubins.sass import Block, Loop, blocks_of, loops_of, parse, way_through
 from benchmarking.options import BenchmarkError, Common, new_record
 from benchmarking.record import Check, Record, Row, Section
 from ggwarp.runtime import loading
@@ -30,10 +31,10 @@ _KERNELS_NOTE = (
     "compiled; blocks: of 256 threads on a multiprocessor at once, as these three allow"
 )
 _SPLATS_NOTE = (
-    "of the loop that compares ln alpha with ln 1/255, for one splat: the shortest way that fails, and "
-    "the longest that passes. Wavefronts: of shared memory, for 16 splats that all 8 warps of a tile "
-    "blend: 1 where all lanes read one place, else a lane's bytes over 4; conflicts of banks, and "
-    "places that half a warp shares, are not looked at, and loops inside the one over groups of 16 "
+    "of the loop that compares ln alpha with ln 1/255, for one splat that a warp looks at: the shortest "
+    "way that fails, and the longest that passes. Wavefronts: of shared memory, for 16 splats that all 8 "
+    "warps of a tile blend: the bytes of the places that a warp's lanes ask for, over 128, from what their "
+    "addresses depend on; conflicts of banks are not looked at, and loops inside the one over groups of 16 "
     "count once"
 )
 
@@ -191,11 +192,10 @@ def _splat_rows(text: str) -> list[Row]:
 
 def _wavefronts(blocks: list[Block], loops: list[Loop], walk: Loop, marks: dict[int, int]) -> float:
     """Return the shared memory's wavefronts of 16 blended splats; see the section's note."""
-    varying = varying_addresses(blocks)
+    found = wavefronts(blocks)
 
     def cost(k: int) -> int:
-        accesses = [i for i in blocks[k].code if i.operation in ("LDS", "STS")]
-        return sum(i.bytes // 4 if i.address in varying else 1 for i in accesses)
+        return sum(found.get(i.address, 0) for i in blocks[k].code)
 
     blended = way_through(blocks, walk, marks, without=set(), longest=True, cost=cost)
     assert blended is not None

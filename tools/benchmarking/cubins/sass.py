@@ -15,7 +15,6 @@ from dataclasses import dataclass, field
 _LINE = re.compile(r"/\*([0-9a-f]{4,6})\*/\s+(?:(@!?U?P\w+)\s+)?([A-Z][\w.]*)\s*(.*?)\s*;")
 _TARGET = re.compile(r"(?:0x|\.L_x_)([0-9a-f]+)")
 _CONDITION = re.compile(r"^!?U?P\d")
-_REGISTER = re.compile(r"\bU?R\d+\b")
 _WIDTHS = {"64": 8, "128": 16, "U8": 1, "S8": 1, "U16": 2, "S16": 2}
 
 
@@ -224,52 +223,3 @@ def _topological(blocks: list[Block], loop: Loop) -> list[int]:
 def _target(instruction: Instruction) -> int:
     found = _TARGET.findall(instruction.operands)
     return int(found[-1], 16) if found else -1
-
-
-def varying_addresses(blocks: list[Block]) -> set[int]:
-    """Return the addresses of shared loads and stores whose place differs between the lanes of a warp.
-
-    A register varies from the thread's index on; so does what is loaded from a place that varies. What comes
-    through a branch that lanes take differently is not seen: a bound from below.
-    """
-    entering: list[set[str]] = [set() for _ in blocks]
-    found: set[int] = set()
-    waiting = list(range(len(blocks)))
-    while waiting:
-        k = waiting.pop()
-        varying = set(entering[k])
-        for i in blocks[k].code:
-            _follow(i, varying, found)
-        for n in blocks[k].next:
-            if not varying <= entering[n]:
-                entering[n] |= varying
-                waiting.append(n)
-    return found
-
-
-def _follow(i: Instruction, varying: set[str], found: set[int]) -> None:
-    """Update which registers vary by one instruction, and note a shared access that does."""
-    stores = i.operation in ("STS", "STG", "ST", "STL", "RED", "ATOMS")
-    target, _, sources = ("", "", i.operands) if stores else i.operands.partition(",")
-    if _CONDITION.match(target.strip()) and not i.operation.endswith("SETP"):  # then comes the result
-        target, _, sources = sources.partition(",")
-    if i.operation in ("LDS", "STS"):
-        place = re.search(r"\[(.*?)\]", i.operands)
-        if place and varying & set(_REGISTER.findall(place[1])):
-            found.add(i.address)
-    if stores:
-        return
-    result = set(_REGISTER.findall(target))
-    depends = bool(varying & set(_REGISTER.findall(sources))) or "SR_TID" in sources or "SR_LANEID" in sources
-    written = {
-        _beside(r, k) for r in result for k in range(max(i.bytes // 4, 1) if "LD" in i.operation else 1)
-    }
-    if depends:
-        varying |= written
-    elif not i.predicate:
-        varying -= written
-
-
-def _beside(register: str, k: int) -> str:
-    letters = register.rstrip("0123456789")
-    return f"{letters}{int(register[len(letters) :]) + k}"
