@@ -11,7 +11,7 @@ from typing import Any
 import warp as wp
 
 from ggwarp.kernels.identity import cross_entropy, neighbour_kl
-from ggwarp.kernels.losses import ssim
+from ggwarp.kernels.losses import ssim, ssim_planes
 from ggwarp.kernels.losses.pixel_lines import BAND, RowWorkspace, lines_per_row
 from ggwarp.kernels.math import vec6, vec16
 from ggwarp.kernels.photometric import affine_exposure
@@ -65,7 +65,7 @@ def allocate_tiles(count: int, slots: int, *, width: int, height: int, device: A
 
 def allocate_loss(
     height: int, width: int, *, device: Any, by_rows: bool | None = None
-) -> ssim.LossWorkspace | RowWorkspace:
+) -> ssim_planes.PlaneWorkspace | RowWorkspace:
     """Allocate the scratch of the colour and depth losses for an image of ``height`` x ``width``.
 
     Args:
@@ -84,15 +84,31 @@ def allocate_loss(
             slope_means=planes(9, rows + 2 * ssim.REACH),
             partials=wp.zeros(rows, dtype=wp.vec4, device=device),
         )
+    return _allocate_planes(height, width, device)
+
+
+def allocate_ssim(
+    height: int, width: int, *, device: Any
+) -> ssim.PixelWorkspace | ssim_planes.PlaneWorkspace:
+    """Allocate the scratch of SSIM alone for images of ``height`` x ``width``."""
+    if not wp.get_device(device).is_cpu:
+        return _allocate_planes(height, width, device)
     shape = (height + 2 * ssim.REACH, width + 2 * ssim.REACH)
-    items = height * ssim.pieces_per_row(width, device)
-    return ssim.LossWorkspace(
-        statistics=wp.zeros(shape, dtype=vec16, device=device),
-        blurred=wp.zeros(shape, dtype=vec16, device=device),
-        slopes=wp.zeros(shape, dtype=vec16, device=device),
-        partials=wp.zeros(items, dtype=wp.vec4, device=device),
-        bins=wp.zeros(ssim.BINS, dtype=wp.vec4, device=device),
+    return ssim.PixelWorkspace(
+        *(wp.zeros(shape, dtype=vec16, device=device) for _ in range(3)),
+        partials=wp.zeros(height, dtype=wp.vec4, device=device),
     )
+
+
+def _allocate_planes(height: int, width: int, device: Any) -> ssim_planes.PlaneWorkspace:
+    def planes(count: int) -> Any:
+        shape = (count, height + 2 * ssim.REACH, width + 2 * ssim.REACH)
+        return wp.zeros(shape, dtype=float, device=device)
+
+    partials, bins = (
+        wp.zeros(n, dtype=wp.vec4, device=device) for n in (height * width, sum(ssim_planes.BINS))
+    )
+    return ssim_planes.PlaneWorkspace(planes(6), planes(15), planes(9), partials, bins)
 
 
 def allocate_exposure(

@@ -10,15 +10,10 @@ import warp as wp
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from ggwarp.kernels.losses.ssim import (
-    BINS,
-    REACH,
-    LossWorkspace,
-    compare_adjoint,
-    pieces_per_row,
-    ssim_forward,
-)
-from ggwarp.kernels.math import vec16
+from ggwarp.kernels.losses import ssim as by_pixels
+from ggwarp.kernels.losses import ssim_planes as by_planes
+from ggwarp.kernels.losses.ssim import PixelWorkspace
+from ggwarp.kernels.workspaces import allocate_ssim
 from ggwarp.ops.tensors import on_stream_of
 
 
@@ -54,12 +49,9 @@ def _view(tensor: Tensor) -> Any:
     return wp.from_torch(tensor.detach(), requires_grad=False)
 
 
-def _scratch(height: int, width: int, device: Any) -> LossWorkspace:
-    shape = (height + 2 * REACH, width + 2 * REACH)
-    statistics, blurred, slopes = (wp.zeros(shape, dtype=vec16, device=device) for _ in range(3))
-    items = height * pieces_per_row(width, device)
-    partials, bins = (wp.zeros(n, dtype=wp.vec4, device=device) for n in (items, BINS))
-    return LossWorkspace(statistics, blurred, slopes, partials, bins)
+def _form(workspace: Any) -> Any:
+    """Return the module whose scratch it is."""
+    return by_pixels if isinstance(workspace, PixelWorkspace) else by_planes
 
 
 class _Ssim(torch.autograd.Function):
@@ -68,12 +60,14 @@ class _Ssim(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, image: Tensor, target: Tensor) -> Tensor:
         image, target = image.contiguous(), target.contiguous()
-        height, width = image.shape[1:]
+        height, width = ctx.size = image.shape[1:]
         losses = image.new_zeros(4)
         with on_stream_of(image):
             x = _view(image)
-            ctx.workspace = _scratch(height, width, x.device)
-            ssim_forward(x, _view(target), losses=_view(losses), workspace=ctx.workspace, device=x.device)
+            ctx.workspace = allocate_ssim(height, width, device=x.device)
+            _form(ctx.workspace).ssim_forward(
+                x, _view(target), losses=_view(losses), workspace=ctx.workspace, device=x.device
+            )
         return 1.0 - losses[1]
 
     @staticmethod
@@ -81,11 +75,11 @@ class _Ssim(torch.autograd.Function):
     def backward(  # pyright: ignore[reportIncompatibleMethodOverride]
         ctx: Any, grad: Tensor
     ) -> tuple[Tensor | None, ...]:
-        height, width = (extent - 2 * REACH for extent in ctx.workspace.statistics.shape)
+        height, width = ctx.size
         d_image = grad.new_empty((3, height, width))
         with on_stream_of(grad):
             view = _view(d_image)
-            compare_adjoint(
+            _form(ctx.workspace).compare_adjoint(
                 height=height,
                 width=width,
                 l1_weight=0.0,

@@ -35,6 +35,8 @@ ONE_DEVICE = {
     "raster.composite_cuda_adjoint": "cuda",
     "identity.cross_entropy_pixels": "cuda",
     "losses.rgbd_rows": "cpu",
+    "losses.ssim": "cpu",
+    "losses.ssim_planes": "cuda",
     "raster.tiles_parallel": "cuda",
 }
 """Modules whose kernels run on one kind of device only."""

@@ -14,12 +14,11 @@ from typing import Any
 
 import warp as wp
 
-from ggwarp.kernels.losses import ssim
+from ggwarp.kernels.losses import ssim_planes
 from ggwarp.kernels.losses.pixel_lines import RowWorkspace
 from ggwarp.kernels.losses.rgbd_rows import rgbd_loss_by_rows
-from ggwarp.kernels.losses.ssim import REACH, LossWorkspace, pack_statistics
-from ggwarp.kernels.math import vec16
-from ggwarp.runtime.launch import launch_split
+from ggwarp.kernels.losses.ssim import REACH
+from ggwarp.kernels.losses.ssim_planes import PlaneWorkspace
 
 wp.set_module_options({"enable_backward": False})
 
@@ -31,9 +30,7 @@ LOSS_COUNT = 6
 
 
 @wp.kernel
-def _statistics_kernel(
-    offset: int,
-    pieces: int,
+def _colours_kernel(
     width: int,
     mask_colour: int,
     with_depth: int,
@@ -43,43 +40,36 @@ def _statistics_kernel(
     colour: wp.array3d[wp.uint8],
     depth: wp.array2d[wp.float32],
     weights: wp.array2d[wp.uint8],
-    statistics: wp.array2d[vec16],
+    colours: wp.array3d[wp.float32],
     partials: wp.array[wp.vec4],
     d_image: wp.array3d[wp.float32],
 ):
-    """Pack the masked colours of each pixel; depth term and its adjoint."""
-    item = offset + wp.tid()
-    row = item / pieces
-    piece = item - row * pieces
-    depth_sum = float(0.0)
-    masked_sum = float(0.0)
-    for column in range(width * piece / pieces, width * (piece + 1) / pieces):
-        d = depth[row, column]
-        valid = d > 0.0 and d < 1.0e6  # false for NaN and infinity, too
-        s = vec16()
+    """Lay out the masked colours of each pixel; depth term and its adjoint."""
+    item = wp.tid()
+    row = item / width
+    column = item - row * width
+    d = depth[row, column]
+    valid = d > 0.0 and d < 1.0e6  # false for NaN and infinity, too
+    for c in range(3):
+        x = float(0.0)
+        y = float(0.0)
         if mask_colour == 0 or valid:
-            x = wp.vec3(image[0, row, column], image[1, row, column], image[2, row, column])
-            r = float(colour[row, column, 0])
-            g = float(colour[row, column, 1])
-            b = float(colour[row, column, 2])
-            s = pack_statistics(x, wp.vec3(r, g, b) * (1.0 / 255.0))
-        statistics[row + REACH, column + REACH] = s
-        gradient = float(0.0)
-        if valid:
-            masked_sum += 1.0
-            if with_depth != 0:
-                weight = float(1.0)
-                if weights.shape[0] > 0:
-                    weight = float(weights[row, column]) * (1.0 / 255.0)
-                error = image[3, row, column] - d
-                depth_sum += weight * wp.abs(error) / d_max
-                if error > 0.0:
-                    gradient = weight * depth_scale
-                if error < 0.0:
-                    gradient = -weight * depth_scale
-        if with_depth != 0:
-            d_image[3, row, column] = gradient
-    partials[item] = wp.vec4(0.0, 0.0, depth_sum, masked_sum)
+            x = image[c, row, column]
+            y = float(colour[row, column, c]) * (1.0 / 255.0)
+        colours[c, row + REACH, column + REACH] = x
+        colours[3 + c, row + REACH, column + REACH] = y
+    error = float(0.0)
+    gradient = float(0.0)
+    if valid and with_depth != 0:
+        weight = float(1.0)
+        if weights.shape[0] > 0:
+            weight = float(weights[row, column]) * (1.0 / 255.0)
+        e = image[3, row, column] - d
+        error = weight * wp.abs(e) / d_max
+        gradient = weight * depth_scale * wp.where(e > 0.0, 1.0, wp.where(e < 0.0, -1.0, 0.0))
+    if with_depth != 0:
+        d_image[3, row, column] = gradient
+    partials[item] = wp.vec4(0.0, 0.0, error, wp.where(valid, 1.0, 0.0))
 
 
 @wp.kernel
@@ -117,7 +107,7 @@ def rgbd_loss(
     *,
     d_image: Any,
     losses: Any,
-    workspace: LossWorkspace | RowWorkspace,
+    workspace: PlaneWorkspace | RowWorkspace,
     colour_weight: float = 1.0,
     dssim: float = 0.2,
     depth_weight: float = 0.1,
@@ -159,21 +149,19 @@ def rgbd_loss(
         return
     height, width = colour.shape[0], colour.shape[1]
     with_depth = image.shape[0] > 3
-    pieces = ssim.pieces_per_row(width, device)
     depth_scale = depth_weight / (d_max * height * width)
-    launch_split(
-        _statistics_kernel,
-        height * pieces,
+    wp.launch(
+        _colours_kernel,
+        dim=height * width,
         inputs=[
-            *(pieces, width, int(mask_colour), int(with_depth), d_max, depth_scale),
+            *(width, int(mask_colour), int(with_depth), d_max, depth_scale),
             *(image, colour, depth, depth_weights),
         ],
-        outputs=[workspace.statistics, workspace.partials, d_image],
+        outputs=[workspace.colours, workspace.partials, d_image],
         device=device,
-        min_piece=16,
     )
-    ssim.compare_statistics(height=height, width=width, losses=losses, workspace=workspace, device=device)
-    ssim.compare_adjoint(
+    ssim_planes.compare_colours(height=height, width=width, losses=losses, workspace=workspace, device=device)
+    ssim_planes.compare_adjoint(
         height=height,
         width=width,
         l1_weight=l1_weight,
@@ -181,6 +169,7 @@ def rgbd_loss(
         d_image=d_image,
         workspace=workspace,
         device=device,
+        counts=depth if mask_colour else None,
     )
     planes = 4 if with_depth else 3
     wp.launch(
