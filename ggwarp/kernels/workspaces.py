@@ -10,7 +10,7 @@ from typing import Any
 
 import warp as wp
 
-from ggwarp.kernels.identity import cross_entropy, neighbour_kl
+from ggwarp.kernels.identity import cross_entropy, cross_entropy_pixels, neighbour_kl
 from ggwarp.kernels.losses import ssim, ssim_planes
 from ggwarp.kernels.losses.pixel_lines import BAND, RowWorkspace, lines_per_row
 from ggwarp.kernels.math import vec6, vec16
@@ -130,6 +130,7 @@ def allocate_identity(
     by_rows = cross_entropy.runs_by_rows(device)
     bands = padded_height // int(BAND_ROWS)
     items = bands if by_rows else 0
+    parts = bands if by_rows else cross_entropy_pixels.partial_rows(padded_height, padded_width)
     return cross_entropy.IdentityWorkspace(
         logits=wp.zeros((items, capacity), dtype=vec16, device=device),
         bias_sums=wp.zeros((items, capacity), dtype=vec16, device=device),
@@ -137,8 +138,8 @@ def allocate_identity(
         log_sums=wp.zeros(
             (0, 0) if by_rows else (padded_height, padded_width), dtype=wp.float32, device=device
         ),
-        weight_partials=wp.zeros((bands, capacity), dtype=vec16, device=device),
-        other_partials=wp.zeros((bands, capacity), dtype=wp.vec2, device=device),
+        weight_partials=wp.zeros((parts, capacity), dtype=vec16, device=device),
+        other_partials=wp.zeros((parts, capacity), dtype=wp.vec2, device=device),
         class_losses=wp.zeros(capacity, dtype=wp.float32, device=device),
     )
 

@@ -2,8 +2,8 @@
 """Identity classifier on the rendered identity image: cross-entropy and its adjoint (GG-SLAM eq. 8).
 
 z = W e + b per pixel, L_obj = mean CE(z, y) / log(classes), the mean over all H W pixels; ignored
-pixels (label outside [0, classes)) add nothing. Sums over pixels are kept per band of 4 image rows,
-then added band by band: the result does not depend on threads.
+pixels (label outside [0, classes)) add nothing. Sums over pixels are kept in parts, on a CPU per band of 4
+image rows, then added one by one: the result does not depend on threads.
 
 Two forms. By bands (CPU, here): an item per band, 16 pixels at a time as the lanes of a vec16. By
 pixels (CUDA): :mod:`ggwarp.kernels.identity.cross_entropy_pixels`.
@@ -39,8 +39,9 @@ class IdentityWorkspace:
         logits, bias_sums: [Hp / 4, capacity] vec16, CPU only.
         blocks: [Hp / 4, 32] vec16, CPU only.
         log_sums: [Hp, Wp] float, CUDA only.
-        weight_partials: [Hp / 4, capacity] vec16, each band's part of the gradient of W.
-        other_partials: [Hp / 4, capacity] vec2, of b's gradient and of the loss.
+        weight_partials: [R, capacity] vec16, parts of the gradient of W: R = Hp / 4, a part a band, on a CPU,
+            ``cross_entropy_pixels.partial_rows`` on CUDA.
+        other_partials: [R, capacity] vec2, of b's gradient and of the loss.
         class_losses: [capacity] float.
     """
 
@@ -194,6 +195,7 @@ def _bands_kernel(
 
 @wp.kernel
 def _fold_kernel(
+    rows: int,
     weight_partials: wp.array2d[vec16],
     other_partials: wp.array2d[wp.vec2],
     d_weights: wp.array[vec16],
@@ -203,9 +205,9 @@ def _fold_kernel(
     c = wp.tid()
     d = vec16()
     other = wp.vec2()
-    for band in range(weight_partials.shape[0]):
-        d += weight_partials[band, c]
-        other += other_partials[band, c]
+    for row in range(rows):
+        d += weight_partials[row, c]
+        other += other_partials[row, c]
     d_weights[c] = d
     d_biases[c] = other[0]
     class_losses[c] = other[1]
@@ -274,6 +276,7 @@ def cross_entropy(
     stride, phase = (1, None) if sample is None else (sample.stride, sample.phase)
     unit = stride / (height * width * math.log(classes)) if classes > 1 else 0.0
     partials = [workspace.weight_partials, workspace.other_partials]
+    rows = workspace.weight_partials.shape[0]
     head = [classes, stride, phase, weight * unit]
     if runs_by_rows(device):
         blocks = image.shape[2] // 16
@@ -298,10 +301,11 @@ def cross_entropy(
             other_partials=workspace.other_partials,
             device=device,
         )
+        rows = cross_entropy_pixels.FOLDED
     wp.launch(
         _fold_kernel,
         dim=classes,
-        inputs=partials,
+        inputs=[rows, *partials],
         outputs=[d_weights, d_biases, workspace.class_losses],
         device=device,
     )

@@ -1,21 +1,59 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cross-entropy of the identity image in the form for CUDA.
 
-A thread per pixel finds the logarithm of its softmax sum and the gradient of its identity; then
-a thread per (band, class) walks the band and sums that class's part of the classifier's gradient.
-Neighbouring threads hold neighbouring classes, so a pixel's identity is read once a warp.
+Work goes by the blocks of 16 x 4 pixels that are in the sample: a thread per pixel finds the logarithm of
+its softmax sum and the gradient of its identity; then a thread per class and every ROWS-th block sums that
+class's part of the classifier's gradient. Neighbouring threads hold neighbouring classes, so a pixel's
+identity is read once a warp. The ROWS sums of a class are added in two steps.
 """
 
 from typing import Any
 
 import warp as wp
 
+from ggwarp.kernels.block import load4
 from ggwarp.kernels.math import vec16
-from ggwarp.kernels.raster.sampling import BAND_ROWS, first_band, in_sample
+from ggwarp.kernels.raster.sampling import BAND_ROWS, first_band
 
 wp.set_module_options({"enable_backward": False})
 
 IDENTITY_PLANE = wp.constant(4)
+
+ROWS = 1024
+"""Sums of a class that blocks share at most."""
+
+FOLDED = 32
+"""Sums that those are added to first."""
+
+_PIXELS = wp.constant(64)
+"""Of a block of the sample."""
+
+
+def sampled_blocks(height: int, width: int, stride: int) -> int:
+    """Return how many blocks of a padded image a sample has at most."""
+    return width // 16 * -(-(height // int(BAND_ROWS)) // stride)
+
+
+@wp.func
+def sampled_block(i: int, across: int, stride: int, phase: wp.array[wp.int32]):
+    """Column, in blocks, and band of the i-th block of the sample; the band may lie beyond the image."""
+    turn = i / across
+    column = i - across * turn
+    return column, wp.min(first_band(column, 0, stride, phase), 1 << 20) + turn * stride
+
+
+@wp.func
+def weight_row(weights: wp.array[vec16], c: int) -> vec16:
+    """A class's weights, by four loads."""
+    quads = wp.array(ptr=weights.ptr, shape=(4 * weights.shape[0],), dtype=wp.vec4)
+    v0 = load4(quads, 4 * c)
+    v1 = load4(quads, 4 * c + 1)
+    v2 = load4(quads, 4 * c + 2)
+    v3 = load4(quads, 4 * c + 3)
+    return vec16(
+        v0[0], v0[1], v0[2], v0[3], v1[0], v1[1], v1[2], v1[3],
+        v2[0], v2[1], v2[2], v2[3], v3[0], v3[1], v3[2], v3[3],
+    )  # fmt: skip
 
 
 @wp.func
@@ -29,7 +67,6 @@ def identity_at(image: wp.array3d[wp.float32], row: int, column: int) -> vec16:
 
 @wp.kernel
 def _pixels_kernel(
-    width: int,
     classes: int,
     stride: int,
     phase: wp.array[wp.int32],
@@ -42,9 +79,12 @@ def _pixels_kernel(
     d_image: wp.array3d[wp.float32],
 ):
     item = wp.tid()
-    row = item / width
-    column = item - row * width
-    if not in_sample(row / BAND_ROWS, first_band(column / 16, 0, stride, phase), stride):
+    block = item / _PIXELS
+    k = item - block * _PIXELS
+    block_column, band = sampled_block(block, image.shape[2] / 16, stride, phase)
+    row = band * BAND_ROWS + k / 16
+    column = block_column * 16 + k % 16
+    if row >= image.shape[1]:
         return
     label = int(-1)
     if row < labels.shape[0] and column < labels.shape[1]:
@@ -55,7 +95,7 @@ def _pixels_kernel(
         largest = float(-1.0e30)
         total = float(0.0)
         for c in range(classes):
-            z = wp.dot(weights[c], e) + biases[c]
+            z = wp.dot(weight_row(weights, c), e) + biases[c]
             if z > largest:
                 total = total * wp.exp(largest - z) + 1.0
                 largest = z
@@ -64,7 +104,7 @@ def _pixels_kernel(
         log_sum = largest + wp.log(total)
         log_sums[row, column] = log_sum
         for c in range(classes):
-            w = weights[c]
+            w = weight_row(weights, c)
             d += w * wp.exp(wp.dot(w, e) + biases[c] - log_sum)
         d = (d - weights[label]) * scale
     for k in range(16):
@@ -82,22 +122,23 @@ def _classes_kernel(
     weights: wp.array[vec16],
     biases: wp.array[wp.float32],
     log_sums: wp.array2d[wp.float32],
+    blocks: int,
+    rows: int,
     weight_partials: wp.array2d[vec16],
     other_partials: wp.array2d[wp.vec2],
 ):
     item = wp.tid()
-    band = item / classes
-    c = item % classes
+    part = item / classes
+    c = item - part * classes
     d = vec16()
     db = float(0.0)
     loss = float(0.0)
-    w = weights[c]
-    for block in range((labels.shape[1] + 15) / 16):
-        if not in_sample(band, first_band(block, 0, stride, phase), stride):
-            continue
-        for k in range(16 * BAND_ROWS):
+    w = weight_row(weights, c)
+    for block in range(part, blocks, rows):
+        block_column, band = sampled_block(block, image.shape[2] / 16, stride, phase)
+        for k in range(_PIXELS):
             row = band * BAND_ROWS + k / 16
-            column = block * 16 + k % 16
+            column = block_column * 16 + k % 16
             label = int(-1)
             if row < labels.shape[0] and column < labels.shape[1]:
                 label = labels[row, column]
@@ -110,8 +151,26 @@ def _classes_kernel(
                     loss -= log_p
                 d += g * e
                 db += g
-    weight_partials[band, c] = d * scale
-    other_partials[band, c] = wp.vec2(db * scale, loss)
+    weight_partials[part, c] = d * scale
+    other_partials[part, c] = wp.vec2(db * scale, loss)
+
+
+@wp.kernel
+def _fold_kernel(
+    rows: int,
+    weight_partials: wp.array2d[vec16],
+    other_partials: wp.array2d[wp.vec2],
+    weight_sums: wp.array2d[vec16],
+    other_sums: wp.array2d[wp.vec2],
+):
+    f, c = wp.tid()
+    d = vec16()
+    other = wp.vec2()
+    for row in range(f, rows, weight_sums.shape[0]):
+        d += weight_partials[row, c]
+        other += other_partials[row, c]
+    weight_sums[f, c] = d
+    other_sums[f, c] = other
 
 
 def launch(
@@ -130,23 +189,27 @@ def launch(
     other_partials: Any,
     device: Any,
 ) -> None:
-    """Write the image gradient, and each band's parts of the classifier's and of the loss.
+    """Write the image gradient, and FOLDED parts of the classifier's and of the loss.
 
-    Arguments as of ``cross_entropy`` and its workspace; ``scale`` is the weight of one pixel.
+    Arguments as of ``cross_entropy`` and its workspace; ``scale`` is the weight of one pixel. The parts are
+    the first FOLDED rows of the partials, whose others are scratch.
     """
     common = [classes, stride, phase, scale, image, labels, weights, biases, log_sums]
-    padded_width = image.shape[2]
-    wp.launch(
-        _pixels_kernel,
-        dim=image.shape[1] * padded_width,
-        inputs=[padded_width, *common],
-        outputs=[d_image],
-        device=device,
-    )
+    blocks = sampled_blocks(image.shape[1], image.shape[2], stride)
+    rows = min(ROWS, blocks)
+    wp.launch(_pixels_kernel, dim=blocks * int(_PIXELS), inputs=common, outputs=[d_image], device=device)
+    sums = [weight_partials[:FOLDED], other_partials[:FOLDED]]
+    partials = [weight_partials[FOLDED:], other_partials[FOLDED:]]
     wp.launch(
         _classes_kernel,
-        dim=image.shape[1] // int(BAND_ROWS) * classes,
-        inputs=common,
-        outputs=[weight_partials, other_partials],
+        dim=rows * classes,
+        inputs=[*common, blocks, rows],
+        outputs=partials,
         device=device,
     )
+    wp.launch(_fold_kernel, dim=(FOLDED, classes), inputs=[rows, *partials], outputs=sums, device=device)
+
+
+def partial_rows(height: int, width: int) -> int:
+    """Return the rows of partials that a padded image needs."""
+    return FOLDED + min(ROWS, sampled_blocks(height, width, 1))
