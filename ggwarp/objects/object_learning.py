@@ -125,23 +125,20 @@ class ObjectLearning(Stateful):
         """See :meth:`ggwarp.objects.mask_supervision.ObjectSupervision.relabel`."""
         return self._supervision.relabel(index, depth, T_wc, rendered)
 
-    def add_to_render(self, rendered: Rendered, image: wp.array, identity: Float32) -> Rendered:
-        """Return ``rendered`` with what it shows of objects.
+    def add_classes(self, rendered: Rendered, image: wp.array) -> Rendered:
+        """Return ``rendered`` with the classes that it shows; ``image`` [20, Hp, Wp] is it on the device."""
+        classes, confidence = self.classifier.classify_image(image, *rendered.opacity.shape)
+        return replace(rendered, classes=self.classes.merged(classes), confidence=confidence)
+
+    def add_objects(self, rendered: Rendered, identity: Float32) -> Rendered:
+        """Return ``rendered``, which has classes, with the objects as the masks name them, and ``identity``.
 
         Args:
-            image: [20, Hp, Wp] the render on the device.
-            identity: [h, w, 16] its identity on the host.
+            identity: [h, w, 16] of the render.
         """
-        classes, confidence = self.classifier.classify_image(image, *rendered.opacity.shape)
-        classes = self.classes.merged(classes)
-        objects = np.where(rendered.opacity > _OPAQUE, self.classes.decode(classes), NO_OBJECT)
-        return replace(
-            rendered,
-            identity=identity,
-            objects=objects.astype(np.int32),
-            classes=classes,
-            confidence=confidence,
-        )
+        assert rendered.classes is not None
+        objects = np.where(rendered.opacity > _OPAQUE, self.classes.decode(rendered.classes), NO_OBJECT)
+        return replace(rendered, identity=identity, objects=objects.astype(np.int32))
 
     def object_ids(self) -> tuple[NDArray[np.int32], Float32]:
         """Return [n] the object of each Gaussian as the masks name it, 0 = none, and [n] its probability."""

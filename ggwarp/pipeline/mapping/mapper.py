@@ -156,7 +156,7 @@ class Mapper(Stateful):
         return not self.refused
 
     def _insert(self, frame: Frame, T_wc: Float64, exposure: Exposure | None = None) -> bool:
-        rendered = self.render(T_wc) if self.map.count else None
+        rendered = self._look(T_wc) if self.map.count else None
         measured, wrong = frame, None  # what is contradicted stays in the picture, but does not count
         if self._moving is not None:
             wrong = self._contradicting(frame, T_wc, rendered, self._moving)
@@ -269,13 +269,12 @@ class Mapper(Stateful):
         if skip_objects or self.objects is None or not self.ready:
             return
         if self.objects.vote_is_due(frame, newest=self._keyframes.states[-1].index):
-            self.objects.vote(frame, T_wc, self.render(T_wc))
+            self.objects.vote(frame, T_wc, self._look(T_wc))
         number = self.objects.keyframe_to_relabel(len(self._keyframes))
         if number is not None:
             index, T_wc = self._keyframes.states[number].index, self._keyframes.pose(number)
-            view, depth = self.render(T_wc), to_host(self._keyframes.depth(number))
-            labels = self.objects.relabel(index, depth, T_wc, view)
-            if labels is not None:
+            view, depth = self._look(T_wc), to_host(self._keyframes.depth(number))
+            if (labels := self.objects.relabel(index, depth, T_wc, view)) is not None:
                 self._keyframes.label(number, labels)
 
     def iterate(self) -> None:
@@ -315,14 +314,15 @@ class Mapper(Stateful):
         return self._keyframes.exposure(number)
 
     def render(self, T_wc: Float64) -> Rendered:
-        """Return the map's view from ``T_wc`` [4, 4]."""
+        """Return the map's view from ``T_wc`` [4, 4], with all that it shows."""
+        rendered, objects = self._look(T_wc), self.objects
+        return rendered if objects is None else objects.add_objects(rendered, self._renderer.identity())
+
+    def _look(self, T_wc: Float64) -> Rendered:
+        """Return the view from ``T_wc`` [4, 4] without identities: they stay on the device."""
         self._renderer.render(T_wc)
         rendered = self._renderer.picture()
-        if self.objects is None:
-            return rendered
-        image = self._renderer.image
-        identity = np.ascontiguousarray(self._renderer.plane(image[4:]).transpose(1, 2, 0))
-        return self.objects.add_to_render(rendered, image, identity)
+        return rendered if self.objects is None else self.objects.add_classes(rendered, self._renderer.image)
 
     def export(self) -> Gaussians:
         """Return the map on the host, each Gaussian with its object's id as the masks name it."""
