@@ -60,6 +60,14 @@ def cpu_thread_limit(count: int) -> Iterator[None]:
             _caller.limit = before
 
 
+def block_size(kernel: Any) -> int:
+    """Return the threads of a block that a kernel's module is compiled for (its option ``block_dim``).
+
+    A launch with blocks of another size would compile the module a second time.
+    """
+    return kernel.module.options["block_dim"]
+
+
 def launch_split(
     kernel: Any,
     count: int,
@@ -86,7 +94,14 @@ def launch_split(
     device = wp.get_device(device)
     threads = min(cpu_threads(), count // max(min_piece, 1)) if device.is_cpu else 1
     if threads <= 1 or device.is_capturing:
-        wp.launch(kernel, dim=count, inputs=[0, *inputs], outputs=outputs, device=device)
+        wp.launch(
+            kernel,
+            dim=count,
+            inputs=[0, *inputs],
+            outputs=outputs,
+            device=device,
+            block_dim=block_size(kernel),
+        )
         return
     # Load the module here: two threads must not compile it at once. CPU launches run with blocks of one;
     # loading for another block size would compile the module a second time.

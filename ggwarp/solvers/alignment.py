@@ -149,6 +149,7 @@ class Aligner:
         items = alignment.item_count(camera.height, camera.width)
         self._sums = wp.empty((items, alignment.SUMS), dtype=float, device=self._device)
         total: Any = wp.float64
+        self._folded = wp.empty((alignment.FOLDED, alignment.SUMS), dtype=total, device=self._device)
         self._system = wp.zeros(alignment.SUMS, dtype=total, device=self._device)
 
     @property
@@ -262,6 +263,7 @@ class Aligner:
             noise=(self._noise, _ROBUST_SCALE, _EDGE, self._depth_noise),
             agreement=self._agreement,
             sums=self._sums,
+            folded=self._folded,
             system=self._system,
             device=self._device,
         )

@@ -10,6 +10,7 @@ import warp as wp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ggwarp.kernels.registration import gicp
 from ggwarp.runtime.launch import _cut, cpu_thread_limit, cpu_threads, launch_split, set_cpu_threads
 
 wp.set_module_options({"enable_backward": False})
@@ -34,6 +35,22 @@ def counted(count, *, addend=0, device="cpu", min_piece=1):
     out = wp.zeros(count, dtype=int, device=device)
     launch_split(_count_up, count, inputs=[addend], outputs=[out], device=device, min_piece=min_piece)
     return out.numpy()
+
+
+class Elsewhere:
+    """A device that is no CPU."""
+
+    is_cpu = is_capturing = False
+
+
+@pytest.mark.parametrize("kernel", [_count_up, gicp._linearise])
+def test_on_a_gpu_blocks_are_those_that_the_module_is_compiled_for(monkeypatch, kernel):
+    launches = []
+    monkeypatch.setattr(wp, "get_device", lambda device: device)
+    monkeypatch.setattr(wp, "launch", lambda kernel, **options: launches.append(options["block_dim"]))
+    launch_split(kernel, 100, inputs=[], device=Elsewhere())
+    assert launches == [kernel.module.options["block_dim"]]
+    assert gicp._linearise.module.options["block_dim"] == 64
 
 
 @given(count=st.integers(1, 10**6), threads=st.integers(2, 9), min_piece=st.integers(1, 500))

@@ -35,6 +35,9 @@ SUMS = 46
 """Numbers of a system: 36 of the upper triangle of H by rows, 8 of the gradient, the robust cost of colour,
 the pixels whose colour is compared."""
 
+FOLDED = 128
+"""Rows that many rows of sums are folded to first."""
+
 _PIXEL_NOISE = 0.01
 """Standard deviation of a picture's colour, 0..1: a camera's noise and JPEG's."""
 
@@ -238,12 +241,36 @@ def _linearise(
 
 
 @wp.kernel
+def _fold(sums: wp.array2d[float], items: int, folded: wp.array2d[wp.float64]):
+    """Row f of ``folded``: the sum of rows f, f + F, ... of ``sums``, F being the rows of ``folded``."""
+    f, k = wp.tid()
+    total = wp.float64(0.0)
+    for item in range(f, items, folded.shape[0]):
+        total += wp.float64(sums[item, k])
+    folded[f, k] = total
+
+
+@wp.kernel
+def _add(folded: wp.array2d[wp.float64], system: wp.array[wp.float64]):
+    k = wp.tid()
+    total = wp.float64(0.0)
+    for f in range(folded.shape[0]):
+        total += folded[f, k]
+    system[k] = total
+
+
+@wp.kernel
 def _reduce(sums: wp.array2d[float], items: int, system: wp.array[wp.float64]):
     k = wp.tid()
     total = wp.float64(0.0)
     for item in range(items):
         total += wp.float64(sums[item, k])
     system[k] = total
+
+
+def folds(items: int, device: Any) -> bool:
+    """Return whether rows are added in two steps: where many threads would wait for few."""
+    return items > 2 * FOLDED and not wp.get_device(device).is_cpu
 
 
 def item_count(height: int, width: int) -> int:
@@ -261,6 +288,7 @@ def linearise(
     noise: tuple[float, float, float, float],
     agreement: float = 0.0,
     sums: Any,
+    folded: Any,
     system: Any,
     device: Any,
 ) -> None:
@@ -275,7 +303,7 @@ def linearise(
             depth, metres, 0 where depth is not compared.
         agreement: colour is compared where the observed depth differs by no more than this share of the
             expected one, and the picture is not flat; 0: everywhere.
-        sums: [>= item_count(h, w), SUMS] float, scratch.
+        sums: [>= item_count(h, w), SUMS] float, folded: [FOLDED, SUMS] float64: scratch.
         system: [SUMS] float64, written; see :data:`SUMS`.
     """
     pieces = -(-rendered.shape[1] // PIECE)
@@ -290,4 +318,8 @@ def linearise(
         device=device,
         min_piece=32,
     )  # fmt: skip
-    wp.launch(_reduce, dim=SUMS, inputs=[sums, items], outputs=[system], device=device)
+    if folds(items, device):
+        wp.launch(_fold, dim=folded.shape, inputs=[sums, items], outputs=[folded], device=device)
+        wp.launch(_add, dim=SUMS, inputs=[folded], outputs=[system], device=device)
+    else:
+        wp.launch(_reduce, dim=SUMS, inputs=[sums, items], outputs=[system], device=device)

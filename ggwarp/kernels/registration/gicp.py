@@ -21,9 +21,11 @@ import warp as wp
 
 from ggwarp.kernels.registration.hash_grid import HashGrid, nearest_in_grid
 from ggwarp.kernels.rigid import matrix_to_double, rotation_d, to_double, translation_d
-from ggwarp.runtime.launch import launch_split
+from ggwarp.runtime.launch import block_size, launch_split
 
-wp.set_module_options({"enable_backward": False})
+# A frame has some ten thousand points, a thread each with two hundred registers: small blocks reach all
+# multiprocessors.
+wp.set_module_options({"enable_backward": False, "block_dim": 64})
 
 SUMS = 29
 """Numbers of a system: 21 of the upper triangle of H by rows, 6 of g, the robust cost, the matched pairs."""
@@ -238,6 +240,20 @@ def sum_blocks(
 ) -> None:
     launch_split(kernel, rows, inputs=inputs, outputs=[sums], device=device, min_piece=4)
     if rows > FOLDED * 8:
-        wp.launch(_fold, dim=folded.shape, inputs=[sums, rows], outputs=[folded], device=device)
+        wp.launch(
+            _fold,
+            dim=folded.shape,
+            inputs=[sums, rows],
+            outputs=[folded],
+            device=device,
+            block_dim=block_size(_fold),
+        )
         sums, rows = folded, folded.shape[0]
-    wp.launch(_reduce, dim=SUMS, inputs=[sums, rows], outputs=[system], device=device)
+    wp.launch(
+        _reduce,
+        dim=SUMS,
+        inputs=[sums, rows],
+        outputs=[system],
+        device=device,
+        block_dim=block_size(_reduce),
+    )

@@ -21,7 +21,7 @@ from ggwarp.kernels.registration.gicp import (
 from ggwarp.kernels.rigid import matrix_to_double, to_double
 from ggwarp.runtime.launch import launch_split
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "block_dim": 64})
 
 
 @wp.kernel

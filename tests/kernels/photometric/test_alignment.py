@@ -79,6 +79,7 @@ def system(
     sums = wp.empty(
         (alignment.item_count(*rendered.shape[:2]), alignment.SUMS), dtype=wp.float32, device=device
     )
+    folded = wp.full((alignment.FOLDED, alignment.SUMS), 7.0, dtype=wp.float64, device=device)
     out = wp.zeros(alignment.SUMS, dtype=wp.float64, device=device)
     alignment.linearise(
         *arrays,
@@ -88,10 +89,25 @@ def system(
         noise=(NOISE, ROBUST, EDGE, depth_noise),
         agreement=agreement,
         sums=sums,
+        folded=folded,
         system=out,
         device=device,
     )
     return out.numpy()
+
+
+def test_sums_in_two_steps_are_those_in_one(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a GPU adds them, on a CPU; fewer rows than there are to fold to, and more."""
+    for scale in (1, 3):
+        big = [np.tile(view, (scale, scale, 1)) for view in views(rng)]
+        one = system(*big, MOTION, "cpu", 0.02)
+        monkeypatch.setattr(alignment, "folds", lambda items, device: True)
+        two = system(*big, MOTION, "cpu", 0.02)
+        monkeypatch.undo()
+        np.testing.assert_allclose(two, one, rtol=1e-12, atol=1e-12 * np.abs(one).max())
+    assert alignment.item_count(*big[0].shape[:2]) > alignment.FOLDED
 
 
 def test_normal_equations_are_those_of_the_residuals(device: str, rng: np.random.Generator) -> None:
