@@ -21,12 +21,14 @@ from ggwarp.objects.labels import Labels, contingency, ranked
 from ggwarp.objects.mask_view import MapKnowledge, MaskView, PosedDepth
 from ggwarp.objects.tentative import Candidates
 from ggwarp.runtime.state import Stateful
+from ggwarp.types import Float64
 
 _LEAST_IOU = 0.2  # a segment and an object that overlap less are not the same
 _NEW_SHARE = 0.5  # a segment without an object is new where the map shows less than this share of it...
 _LEAST_AREA = 2e-4  # ... and it covers at least this share of the image
 _CONTAINED = 0.6  # a segment without an object of its own is a part of the one that has so much of it
 _VIEWS = 2  # keyframes that must show an object before it counts as one
+_SAME_IOU = 0.5  # a new id is an earlier map's object where the two overlap so much: for good
 
 
 class Association(Protocol):
@@ -44,7 +46,10 @@ class Association(Protocol):
 
 
 class TrackedIds(Stateful):
-    """Takes the masks' ids for the objects', which a tracker followed through the frames."""
+    """Takes the masks' ids for the objects', which a tracker followed through the frames.
+
+    Objects of an earlier map, which had other masks, are recognised by where they are.
+    """
 
     def __init__(self, classes: ClassTable) -> None:
         """Prepare to encode; ``classes`` grows with every new id."""
@@ -53,7 +58,25 @@ class TrackedIds(Stateful):
     def associate(self, mask: Labels, surface: PosedDepth, knowledge: MapKnowledge | None) -> MaskView:
         """See :meth:`Association.associate`."""
         ids, ranks = ranked(mask)
+        if knowledge is not None and self._classes.earlier > 1:
+            self._recognise(ids, ranks, surface, knowledge)
         return MaskView(surface, self._classes.encode_ids(ids)[ranks], knowledge)
+
+    def _recognise(
+        self, ids: Labels, ranks: NDArray[np.intp], surface: PosedDepth, knowledge: MapKnowledge
+    ) -> None:
+        """Give the ids that are new, and cover an earlier map's object, to that object."""
+        new = [rank for rank, raw in enumerate(ids.tolist()) if raw > 0 and not self._classes.knows(raw)]
+        if not new:
+            return
+        grid = surface.grid
+        segments = ranks[grid].astype(np.int32)
+        areas = np.bincount(segments.ravel(), minlength=len(ids))
+        ious = overlaps(segments, knowledge.seen[grid], self._classes.count)[1][:, : self._classes.earlier]
+        for rank in new:
+            best = int(ious[rank].argmax())
+            if ious[rank, best] >= _SAME_IOU and areas[rank] >= _LEAST_AREA * segments.size:
+                self._classes.recognise(int(ids[rank]), best)
 
 
 @dataclass(frozen=True)
@@ -73,6 +96,24 @@ class SegmentMatches:
     open_segments: set[int]
 
 
+def overlaps(
+    segments: Labels, seen: Labels, classes: int
+) -> tuple[NDArray[np.int64], Float64, NDArray[np.int64]]:
+    """Compare a frame's S segments with the map's objects, where the map shows the frame's surface.
+
+    Returns:
+        [S, classes] pixels in common and their share of the union, with "no object" none; and [S] those of
+        each segment where the map shows anything.
+    """
+    count = int(segments.max(initial=-1)) + 1
+    table = contingency(segments, seen, max(count, classes))[:count, :classes]
+    shown = table.sum(axis=1)
+    table[:, 0] = 0
+    areas = np.bincount(seen[seen >= 0], minlength=classes)
+    unions = np.maximum(shown[:, None] + areas - table, 1)
+    return table, table / unions, shown
+
+
 def match_segments(segments: Labels, seen: Labels, classes: int) -> SegmentMatches:
     """Match a frame's segments with the map's objects.
 
@@ -85,13 +126,7 @@ def match_segments(segments: Labels, seen: Labels, classes: int) -> SegmentMatch
 
     count = int(segments.max(initial=-1)) + 1
     sizes = np.bincount(segments[segments >= 0], minlength=count)
-    size = max(count, classes)
-    table = contingency(segments, seen, size)[:count, :classes]
-    shown = table.sum(axis=1)
-    table[:, 0] = 0
-    areas = np.bincount(seen[seen >= 0], minlength=classes)
-    unions = np.maximum(shown[:, None] + areas - table, 1)
-    ious = table / unions
+    table, ious, shown = overlaps(segments, seen, classes)
     rows, columns = linear_sum_assignment(ious, maximize=True)
     good = ious[rows, columns] >= _LEAST_IOU
 

@@ -4,12 +4,14 @@
 Masks may name objects by any non-negative integer; the classifier wants 0..classes-1. The table grows
 with every new id, up to more than any room holds. Two classes found to be one object are merged: they
 go on as two for the classifier, and under one id for everyone else. When an id is found to stand for two
-objects, it stays the id of one of them, and the other gets an id of its own.
+objects, it stays the id of one of them, and the other gets an id of its own. Objects of an earlier map keep
+their ids: masks of another recording may mean something else by them.
 """
 
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,14 +35,34 @@ MOST_CLASSES = 8192
 class ClassTable(Stateful):
     """Mask ids, classes and the ids that objects go by; class 0 is "no object"."""
 
-    STATE = ("_ids", "_merged_into", "_class_of_id", "_shares_id_of", "_warned")
+    STATE = ("_ids", "_merged_into", "_class_of_id", "_shares_id_of", "_earlier", "_warned")
 
     def __init__(self) -> None:
         self._ids = [NO_OBJECT]  # class -> the id it goes by; NO_OBJECT: none yet
         self._merged_into = [0]  # class -> the class that it was merged into, or itself
         self._class_of_id: dict[int, int] = {NO_OBJECT: 0}  # mask id -> class
         self._shares_id_of: dict[int, int] = {}  # class -> the class whose mask id stands for it, too
+        self._earlier = 1  # the first classes: "no object", and those of an earlier map
         self._warned = False
+
+    def adopt(self, ids: Sequence[int]) -> None:
+        """Begin with the objects ``ids`` of an earlier map, a class each, before any mask is seen."""
+        self._ids += ids
+        self._merged_into = list(range(self.count))
+        self._earlier = self.count
+
+    @property
+    def earlier(self) -> int:
+        """Classes that an earlier map had, "no object" included; they come first."""
+        return self._earlier
+
+    def knows(self, raw: int) -> bool:
+        """Return whether mask id ``raw`` has a class."""
+        return raw in self._class_of_id
+
+    def recognise(self, raw: int, index: int) -> None:
+        """Take mask id ``raw``, which is new, for the object of class ``index``."""
+        self._class_of_id[raw] = index
 
     @property
     def count(self) -> int:
@@ -59,10 +81,14 @@ class ClassTable(Stateful):
         """[count] the id of each class's object: the masks' own, where they have one for it."""
         return np.array(self._ids, np.int64)[self._merged_into]
 
-    @property
-    def mask_ids(self) -> frozenset[int]:
-        """The ids that masks had, "no object" included; others were made up."""
-        return frozenset(self._class_of_id)
+    def named(self, names: dict[int, str]) -> dict[int, str]:
+        """Return id -> name, where ``names`` are by mask id: of several that are one object, its own."""
+        ids, found = self.ids, dict[int, str]()
+        both = sorted(names.keys() & self._class_of_id.keys())
+        known = {raw: int(ids[self._class_of_id[raw]]) for raw in both}
+        for raw, identifier in sorted(known.items(), key=lambda pair: pair[0] != pair[1]):
+            found.setdefault(identifier, names[raw])
+        return found
 
     def encode(self, mask: NDArray[np.int32]) -> NDArray[np.int32]:
         """Return the class of each pixel of ``mask`` [h, w], adding classes for new ids.
@@ -148,7 +174,10 @@ class ClassTable(Stateful):
             if raw < 0 or self.full:
                 return IGNORED
             others = [index for index, taken in enumerate(self._ids) if taken == raw]
-            self._class_of_id[raw] = self.new_class()
+            self._class_of_id[raw] = index = self.new_class()
+            if raw in self._ids[: self._earlier]:  # the number of another object
+                self.assign_id(index)
+                return index
             self._ids[-1] = raw
             for index in others:  # had it before it was known to be a mask's
                 self._ids[index] = NO_OBJECT

@@ -17,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggwarp.geometry.voxels import voxel_keys
-from ggwarp.objects.class_table import ClassTable
+from ggwarp.objects.class_table import NO_OBJECT, ClassTable
 from ggwarp.objects.labels import Labels, as_png, contingency, from_png, ranked
 from ggwarp.objects.mask_view import MaskView
 from ggwarp.runtime.state import Stateful
+from ggwarp.types import Float32
 
 _VOXEL = 0.25  # metres
 _LEAST_PIXELS = 20
@@ -43,6 +44,18 @@ class LabelHistory(Stateful):
         self._classes = classes
         self._views: Counter[tuple[int, int, int]] = Counter()  # (voxel, object, label)
         self._kept: dict[int, NDArray[np.uint8]] = {}
+
+    def adopt(self, means: Float32, classes: Labels) -> None:
+        """Take the places of an earlier map's objects for established.
+
+        Args:
+            means: [n, 3] its Gaussians' centres, metres, world frame. classes: [n] their objects'.
+        """
+        some = classes > NO_OBJECT
+        places = zip(
+            voxel_keys(means[some].astype(np.float64), _VOXEL).tolist(), classes[some].tolist(), strict=True
+        )
+        self._views.update({(voxel, m, m): _ESTABLISHED for voxel, m in places})
 
     def keep(self, index: int, labels: Labels) -> None:
         """Keep the labels that frame ``index`` came with, [h, w]."""

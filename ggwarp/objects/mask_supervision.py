@@ -76,6 +76,10 @@ class ObjectSupervision(Stateful):
         self._votes = GaussianVotes(camera, gaussians, classifier, votes=config.votes)
         self._merger = ObjectMerger(classes, self._history, self._splitter)
 
+    def adopt(self, means: Float32, classes: Labels) -> None:
+        """See :meth:`ggwarp.objects.label_history.LabelHistory.adopt`."""
+        self._history.adopt(means, classes)
+
     def supervise(
         self, frame: Frame, T_wc: Float64, rendered: Rendered | None, *, keep: bool = True
     ) -> LabelTargets | None:

@@ -87,6 +87,8 @@ class ObjectMerger(Stateful):
         for i, one in enumerate(objects):
             for other in objects[i + 1 :]:
                 pair = one, other
+                if other < self._classes.earlier:  # an earlier map told them apart
+                    continue
                 if covers[one] != covers[other]:
                     self._apart[pair] += 1
                     continue

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -11,7 +13,8 @@ from numpy.typing import NDArray
 
 from ggwarp.geometry.camera import Camera
 from ggwarp.map.gaussian_map import GaussianMap
-from ggwarp.objects.class_table import NO_OBJECT, ClassTable
+from ggwarp.map.gaussians import Gaussians
+from ggwarp.objects.class_table import IGNORED, NO_OBJECT, ClassTable
 from ggwarp.objects.classifier import Classifier, ClassifierConfig, IdentitySeeds
 from ggwarp.objects.inventory import ObjectRecord, inventory
 from ggwarp.objects.labels import Labels
@@ -42,6 +45,7 @@ class ObjectLearning(Stateful):
         "voting_indices",
         "_supervision",
         "_other_frames",
+        "_told",
         "_frames",
     )
 
@@ -72,6 +76,33 @@ class ObjectLearning(Stateful):
             config, camera, gaussians, self.classes, self.classifier, tracked=tracked_masks
         )
         self._other_frames = self._frames = 0
+        self._told: dict[int, dict[str, Any]] = {}  # by an earlier map's list of objects
+
+    def adopt(self, gaussians: Gaussians, records: Sequence[ObjectRecord]) -> Gaussians:
+        """Begin with an earlier map's objects; return its Gaussians as they enter this map.
+
+        Each object has a class anew, as if many masks had said what the map says.
+
+        Args:
+            gaussians: with object ids, if any are known.
+            records: its list of objects, for their names.
+        """
+        count = len(gaussians)
+        ids = np.zeros(count, np.int32) if gaussians.object_ids is None else gaussians.object_ids
+        self.classes.adopt(np.unique(ids[ids > NO_OBJECT]).tolist())
+        self.classifier.grow(self.classes.count)
+        classes = np.searchsorted(self.classes.ids, ids).astype(np.int32)
+        self._supervision.adopt(gaussians.means, classes)
+        names = ("class_name", "label", "source_ids")
+        self._told = {r.id: {name: getattr(r, name) for name in names} for r in records}
+        votes = np.where(classes > NO_OBJECT, self._config.votes, 0).astype(np.int32)
+        return replace(gaussians, identities=self.classifier.codes[classes], votes=votes)
+
+    def labels_of(self, rendered: Rendered) -> Labels:
+        """Return [h, w] the class that the map shows where it is sure of it, else negative."""
+        assert rendered.classes is not None and rendered.confidence is not None
+        sure = (rendered.opacity > _OPAQUE) & (rendered.confidence > _PROBABLE)
+        return np.where(sure, rendered.classes, np.int32(IGNORED))
 
     def supervise_keyframe(
         self, frame: Frame, T_wc: Float64, rendered: Rendered | None
@@ -149,19 +180,27 @@ class ObjectLearning(Stateful):
     def inventory(self, names: dict[int, str]) -> list[ObjectRecord]:
         """Describe the objects; ``names`` are their classes by id, where known."""
         object_ids, probabilities = self.object_ids()
-        gaussians = self._map.to_host()
-        mask_ids = self.classes.mask_ids  # the names are of these: ids made up here may be others' numbers
-        return inventory(
+        gaussians, sources = self._map.to_host(), self.classes.sources()
+        records = inventory(
             gaussians.means,
             gaussians.colours,
             object_ids,
-            names={i: name for i, name in names.items() if i in mask_ids},
-            sources=self.classes.sources(),
+            names=self.classes.named(names),
+            sources=sources,
             visibility=self.visibility.renamed(self.classes.ids),
             probabilities=probabilities,
         )
+        return [_as_told(r, self._told.get(r.id, {}), anew=r.id in sources) for r in records]
 
     def linear_classifier(self) -> LinearClassifier:
         """Return the identity classifier on the host."""
         weights, biases = self.classifier.to_host()
         return LinearClassifier(weights, biases, self.classes.ids[: self.classifier.count])
+
+
+def _as_told(record: ObjectRecord, told: dict[str, Any], *, anew: bool) -> ObjectRecord:
+    """Return ``record`` with the names that an earlier map's had, and its sources unless found ``anew``."""
+    known = {name: value for name, value in told.items() if value is not None}
+    if anew:
+        known.pop("source_ids", None)
+    return replace(record, **known)

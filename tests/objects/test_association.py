@@ -6,7 +6,7 @@ import pytest
 
 from ggwarp.geometry.camera import Camera
 from ggwarp.objects import class_table
-from ggwarp.objects.association import SegmentAssociation, match_segments
+from ggwarp.objects.association import SegmentAssociation, TrackedIds, match_segments
 from ggwarp.objects.class_table import ClassTable
 from ggwarp.objects.labels import Labels
 from ggwarp.objects.mask_view import MapKnowledge, MaskView, PosedDepth
@@ -118,3 +118,27 @@ def test_there_is_a_bounded_number_of_objects(
 
 def test_unlabelled_pixels_stay_so() -> None:
     assert Wall().see(stripes(-1, 0, 5, 5)) == [-1, 0, 1, 1]
+
+
+def tracked(table: ClassTable, mask: Labels, seen: Labels | None) -> list[int]:
+    """Return the class of each stripe of a mask whose ids a tracker followed."""
+    wall = Wall()
+    knowledge = None if seen is None else MapKnowledge(seen, seen, seen)
+    view = TrackedIds(table).associate(mask, wall.surface, knowledge)
+    return view.labels[0, 5::10].tolist()
+
+
+def test_tracked_ids_are_recognised_as_an_earlier_map_s_objects() -> None:
+    table = ClassTable()
+    table.adopt([5, 6])
+    seen = stripes(1, 1, 2, 0)
+    assert tracked(table, stripes(6, 6, 9, 5), seen) == [1, 1, 2, 3], "by place, not by number"
+    assert table.ids.tolist()[:3] == [0, 5, 6] and table.ids[3] not in (5, 6, 9)
+    assert tracked(table, stripes(9, 9, 9, 5), seen) == [2, 2, 2, 3], "for good"
+
+
+def test_a_small_part_of_an_earlier_object_is_not_it() -> None:
+    table = ClassTable()
+    table.adopt([5])
+    assert tracked(table, stripes(8, 0, 0, 0), stripes(1, 1, 1, 0)) == [2, 0, 0, 0]
+    assert tracked(ClassTable(), stripes(8, 0, 0, 0), None) == [1, 0, 0, 0]

@@ -89,3 +89,22 @@ def test_no_id_is_lost_or_merged(masks: list[list[int]]) -> None:
         array = np.array([mask], np.int32)
         assert (table.decode(table.encode(array)) == array).all()
     assert table.count == len({0}.union(*masks))
+
+
+def test_objects_of_an_earlier_map_keep_their_ids() -> None:
+    table = ClassTable()
+    table.adopt([2, 7])
+    assert table.earlier == 3 and table.decode(np.array([1, 2])).tolist() == [2, 7]
+    classes = table.encode(np.array([[7, 1, 9]], np.int32))
+    assert classes.tolist() == [[4, 3, 5]] and table.decode(classes).tolist() == [[3, 1, 9]]
+    assert table.decode(np.array([1, 2])).tolist() == [2, 7]
+
+
+def test_a_mask_s_id_may_be_an_earlier_map_s_object() -> None:
+    table = ClassTable()
+    table.adopt([2, 7])
+    table.recognise(9, 2)
+    assert table.knows(9) and not table.knows(7)
+    assert table.encode(np.array([[9, 7]], np.int32)).tolist() == [[2, 3]]
+    assert table.sources()[7] == (9,)
+    assert table.named({9: "chair", 7: "lamp"}) == {7: "chair"} | {int(table.ids[3]): "lamp"}

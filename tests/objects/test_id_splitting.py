@@ -61,7 +61,7 @@ def test_a_part_far_away_is_another_object_at_its_third_view() -> None:
         labels, fresh = wall.look(5.1)
     assert other in labels and one not in labels and not fresh
     name = int(wall.classes.ids[other])
-    assert name not in (0, 7, 99) and name not in wall.classes.mask_ids
+    assert name not in (0, 7, 99) and not wall.classes.knows(name)
     assert wall.classes.sources() == {name: (7,)}
     assert wall.splitter.grown_together() == []
 

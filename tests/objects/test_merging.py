@@ -65,3 +65,13 @@ def test_nothing_is_merged_when_told_so_or_nothing_is_known() -> None:
     never = ObjectMerger(ClassTable(), together=0)
     assert not any(shown_as_one(never, stripes(1, 2), stripes(0, 0), numbered=False) for _ in range(5))
     assert shown_as_one(ObjectMerger(ClassTable()), stripes(-1, -1), stripes(-1, -1), numbered=True) == []
+
+
+def test_objects_that_an_earlier_map_told_apart_stay_two() -> None:
+    table = ClassTable()
+    table.adopt([4, 6])
+    merger = ObjectMerger(table)
+    for _ in range(4):
+        assert shown_as_one(merger, stripes(1, 2), stripes(0, 0), numbered=False) == []
+    found = [shown_as_one(merger, stripes(2, 3), stripes(0, 0), numbered=False) for _ in range(2)]
+    assert found == [[], [(2, 3)]], "a new one joins an old one"

@@ -1,12 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the objects of a map ask of its mapper: which frames vote, and which keyframes are labelled again."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from ggwarp.geometry.camera import Camera
 from ggwarp.map.gaussian_map import GaussianMap
+from ggwarp.map.gaussians import Gaussians
 from ggwarp.objects.classifier import ClassifierConfig
+from ggwarp.objects.inventory import inventory
 from ggwarp.objects.mask_supervision import SupervisionConfig
 from ggwarp.objects.object_learning import ObjectLearning
 from ggwarp.types import Frame
@@ -66,3 +70,27 @@ def test_the_first_keyframe_names_classes_and_seeds(device: str) -> None:
     assert seen_in is not None and (seen_in.first, seen_in.views) == (0, 1)
     nothing, training = objects.supervise_keyframe(frame(1, mask=False), np.eye(4), None)
     assert training is None and nothing.classes is None and nothing.votes is None
+
+
+def test_an_earlier_map_s_objects_go_on(device: str) -> None:
+    objects = learning(device)
+    means = np.array([[x, 0.0, 1.0] for x in (0.0, 0.1, 1.0, 1.1, 2.0)], np.float32)
+    n = len(means)
+    earlier = Gaussians(
+        means,
+        np.tile(np.float32([1, 0, 0, 0]), (n, 1)),
+        np.full((n, 3), -3.0, np.float32),
+        np.full(n, 3.0, np.float32),
+        np.zeros((n, 3), np.float32),
+        object_ids=np.array([9, 9, 4, 4, 0], np.int32),
+    )
+    told = inventory(means, earlier.colours, earlier.object_ids, names={9: "chair"})
+    told = [replace(r, label="mine", source_ids=(3, 9)) if r.id == 9 else r for r in told]
+    objects._map.append(objects.adopt(earlier, told))
+    ids, probabilities = objects.object_ids()
+    assert ids.tolist() == [9, 9, 4, 4, 0] and (probabilities > 0.9).all()
+    votes = objects._map.to_host().votes
+    assert votes is not None and votes.tolist() == [8, 8, 8, 8, 0], "masks do not rename them at once"
+    four, nine = objects.inventory({4: "lamp"})
+    assert (nine.class_name, nine.label, nine.source_ids, nine.views) == ("chair", "mine", (3, 9), None)
+    assert (four.class_name, four.label) == (None, None), "id 4 of another recording's masks is another thing"
