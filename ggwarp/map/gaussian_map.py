@@ -10,14 +10,17 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import warp as wp
 
 from ggwarp.kernels.math import vec16
 from ggwarp.kernels.optim.adam import AdamState, GaussianArrays
+from ggwarp.kernels.optim.rigid_motion import move_gaussians
 from ggwarp.map.compaction import gathered, kept_indices
 from ggwarp.map.gaussians import Gaussians
 from ggwarp.runtime.state import FrameSource, State, Stateful, into_array
 from ggwarp.runtime.streams import to_host
+from ggwarp.types import Float64
 
 PARAMETERS: dict[str, Any] = {
     "means": wp.vec3,
@@ -133,6 +136,16 @@ class GaussianMap(Stateful):
             self.count = kept
             self.version += 1
         return dropped
+
+    def move(self, motions: Float64) -> None:
+        """Move each Gaussian by that of ``motions`` [k, 4, 4] of its keyframe, with Adam's memory of it."""
+        names = ("keyframe_ids", "means", "quats", "first", "second")
+        move_gaussians(
+            wp.array(motions.astype(np.float32), dtype=wp.mat44, device=self.device),
+            count=self.count,
+            **{name: self.fields[name] for name in names},
+            device=self.device,
+        )
 
     def to_host(self) -> Gaussians:
         """Return copies of the rows in use: the parameters, ``keyframe_ids`` and ``votes``."""

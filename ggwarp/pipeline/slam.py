@@ -23,28 +23,25 @@ from ggwarp.map.gaussians import Gaussians
 from ggwarp.map.renderer import Renderer
 from ggwarp.objects.inventory import ObjectRecord
 from ggwarp.objects.linear_classifier import LinearClassifier
+from ggwarp.pipeline.assembly import make_mapper, make_policy
+from ggwarp.pipeline.earlier_map import MapParts, enter_map, with_views
 from ggwarp.pipeline.estimated_poses import EstimatedPoses
 from ggwarp.pipeline.loops.tracking_side import TrackingLoops
-from ggwarp.pipeline.mapping.build import build_mapper
 from ggwarp.pipeline.scheduler import Scheduler, SynchronousScheduler, Waiting
 from ggwarp.pipeline.slam_config import SlamConfig
 from ggwarp.pipeline.tracked_frame import TrackedFrame
-from ggwarp.pipeline.tracking.keyframe_policy import (
-    CovisibilityKeyframes,
-    KeyframeKind,
-    KeyframePolicy,
-    OverlapKeyframes,
-)
+from ggwarp.pipeline.tracking.keyframe_policy import KeyframeKind
 from ggwarp.pipeline.tracking.point_map import TrackableMap
 from ggwarp.pipeline.tracking.tracker import TrackerContext, make_tracker
 from ggwarp.results.run_folder import write_system
+from ggwarp.results.saved_run import SavedRun
 from ggwarp.runtime import loading
 from ggwarp.runtime.image_store import ImageStore
 from ggwarp.runtime.state import FrameSource, State, Stateful, restore_into, state_of
 from ggwarp.runtime.streams import NO_LOCK, stream_scopes
 from ggwarp.types import Float64, Frame, Rendered, StepReport, TrackResult
 
-_TRACKING_STATE = ("_tracker", "_policy", "_trackable", "_earlier_poses", "_restart_at", "loops")
+_TRACKING_STATE = ("_tracker", "_policy", "_trackable", "_earlier_poses", "_restart_at", "loops", "localiser")
 _MAPPING_STATE = ("_mapper", "reports", "counts", "_unmapped", "_poses", "_moved_by")
 
 
@@ -58,6 +55,7 @@ class Slam:
         keyframe_indices: frames that were ever used for mapping.
         counts: tracking_keyframes, mapping_keyframes, frames_lost, loops_closed; the mapper's ``left_out``.
         loops: closes them; says why they stay open.
+        localiser: finds the first frame in an earlier run's map; None: a new map begins with it.
         mapping_scope: to be held by others who look at the map between frames.
     """
 
@@ -70,20 +68,25 @@ class Slam:
         device: Any = "cpu",
         scheduler: Scheduler | None = None,
         images: ImageStore | None = None,
+        earlier: SavedRun | None = None,
     ) -> None:
-        """Build an empty map and the parts that work on it.
+        """Build the map, empty or as an ``earlier`` run left it, and the parts that work on it.
 
         Args:
             camera: of the frames' ``rgb``, ``depth`` and ``mask``.
             sensor_camera: of the frames' ``sensor_depth``.
             scheduler: when frames come and how much mapping they get; None: ``config.mapper.iterations``.
             images: holds those of the keyframes, on ``device``; None: all of them stay in memory.
+            earlier: goes on in its map: the first frame is looked for in it. Needs depth.
+
+        Raises:
+            EmptyMapError: there is nothing in the earlier map to find a frame by.
         """
         chosen = "covisibility" if config.tracker == "photometric" else "overlap"
         self.config = dataclasses.replace(config, policy=chosen) if config.policy == "auto" else config
         self.device = device
         self.camera, self._sensor_camera = camera, sensor_camera
-        self._images = images
+        self._images, self.earlier = images, earlier
         self._scheduler = scheduler or SynchronousScheduler(config.mapper.iterations)
         self._tracking_scope = self.mapping_scope = NO_LOCK
         self._restart_at: Float64 | None = None
@@ -95,30 +98,21 @@ class Slam:
         self._build()
 
     def _build(self) -> None:
-        """Make an empty map, and the parts that work on it."""
+        """Make the map, and the parts that work on it."""
         config, device, camera = self.config, self.device, self.camera
         self._trackable = TrackableMap(config.trackable, device=device)
         self._earlier_poses: dict[int, Float64] = {}
-        self._mapper = build_mapper(
-            config.mapper,
-            camera,
-            device=device,
-            use_identity=config.use_identity,
-            tracked_masks=config.masks_kind == "tracked",
-            window=config.window if config.policy == "covisibility" else None,
-            monocular=config.mono,
-            images=self._images,
-        )
+        self._mapper = make_mapper(config, camera, device=device, images=self._images)
         self.map = self._mapper.map
-        self._policy: KeyframePolicy = OverlapKeyframes(config.keyframes)
-        if self._mapper.covisibility is not None:
-            self._policy = CovisibilityKeyframes(config.covisibility, self._mapper.covisibility.look)
+        self._policy = make_policy(config, self._mapper)
         renderer = Renderer(self.map, camera, identity=False)
         self._tracker = make_tracker(
             TrackerContext(config, camera, self._sensor_camera, renderer, device, config.mono)
         )
         cameras = camera, self._sensor_camera
         self.loops = TrackingLoops(config, cameras, self._tracker, self._policy, self._trackable)
+        parts = MapParts(self._mapper, self._trackable, self._tracker, self.loops)
+        self.localiser = None if self.earlier is None else enter_map(self.earlier, config, cameras, parts)
 
     def step(self, frame: Frame) -> StepReport:
         """Process the next frame: pose first, then the map."""
@@ -183,7 +177,9 @@ class Slam:
             StateError, KeyError, TypeError, ValueError: they are no states of such a system.
         """
         restore_into(self, _TRACKING_STATE, tracking, frames)
-        restore_into(self, _MAPPING_STATE, mapping, frames)
+        restore_into(self, _MAPPING_STATE, mapping, with_views(frames, self.localiser))
+        if self.localiser is not None:
+            self.localiser.views.clear()
 
     @contextlib.contextmanager
     def in_two_threads(self) -> Iterator[None]:
@@ -260,6 +256,8 @@ class Slam:
             self._build()
             begun = self._tracker.start(frame, self._restart_at)
             result = dataclasses.replace(begun, reason="the start was bad: a new map begins")
+        elif self._policy.empty and self.localiser is not None:
+            result = self.localiser.start(self._tracker, frame, self._trackable.snapshot())
         elif self._policy.empty:
             result = self._tracker.start(frame, np.eye(4) if frame.T_wc is None else frame.T_wc)
         else:

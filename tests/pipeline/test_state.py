@@ -15,6 +15,7 @@ from ggwarp.config import monocular, preset_config
 from ggwarp.datasets import FrameReader, SyntheticOffice, WithoutDepth
 from ggwarp.io.checkpoint import read_checkpoint, write_checkpoint
 from ggwarp.pipeline.slam import Slam, SlamConfig
+from ggwarp.results.saved_run import SavedRun, load_run
 from ggwarp.runtime.state import StateError
 from ggwarp.types import Frame
 from object_graph import differences
@@ -125,15 +126,15 @@ def frame_at(mono: bool, index: int) -> Frame:
     return reader_of(mono).read(index)
 
 
-def system(config: SlamConfig) -> Slam:
+def system(config: SlamConfig, earlier: SavedRun | None = None) -> Slam:
     reader = reader_of(config.mono)
-    return Slam(config, reader.camera, reader.sensor_camera, device="cpu")
+    return Slam(config, reader.camera, reader.sensor_camera, device="cpu", earlier=earlier)
 
 
 def saved_and_restored(slam: Slam, path: Path) -> Slam:
     write_checkpoint(path, {"tracking": slam.tracking_state(), "mapping": slam.mapping_state()})
     tree = read_checkpoint(path)
-    other = system(slam.config)
+    other = system(slam.config, slam.earlier)
     other.restore(tree["tracking"], tree["mapping"], lambda index: frame_at(slam.config.mono, index))
     return other
 
@@ -155,7 +156,25 @@ def test_a_restored_system_is_the_same_and_goes_on_to_the_same_bits(name: str, t
     frames = frames_of(config)
     # One camera alone: while it waits for parallax, too.
     moments = (3, 7) if config.mono else (len(frames) // 2,)
-    one = system(config)
+    compare(system(config), frames, moments, tmp_path)
+
+
+def test_so_is_one_that_begins_in_an_earlier_map(tmp_path: Path) -> None:
+    config = configurations()["hybrid"]
+    first = system(config)
+    for index in range(0, 18, 3):
+        first.step(frame_at(False, index))
+    first.save(tmp_path / "earlier")
+    one = system(config, load_run(tmp_path / "earlier"))
+    blank = dataclasses.replace(frame_at(False, 10), rgb=np.zeros_like(frame_at(False, 10).rgb))
+    one.step(blank)
+    assert one.localiser is not None and one.localiser.place is None and not one.keyframe_indices
+    compare(one, [frame_at(False, index) for index in (11, 14, 17, 20)], (0, 2), tmp_path)
+    assert one.localiser.place is not None
+
+
+def compare(one: Slam, frames: list[Frame], moments: tuple[int, ...], tmp_path: Path) -> None:
+    """Check that systems restored before the frames at ``moments`` go on as ``one`` does."""
     others: list[Slam] = []
     for number, frame in enumerate(frames):
         if number in moments:

@@ -9,6 +9,7 @@ keyframes says the same.
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -90,7 +91,17 @@ class LoopCloser(Stateful):
         seconds: spent so far.
     """
 
-    STATE = ("_looks", "_places", "_motions", "_waiting", "_searched", "_solved", "_doubtful", "seconds")
+    STATE = (
+        "_looks",
+        "_places",
+        "_motions",
+        "_waiting",
+        "_searched",
+        "_solved",
+        "_doubtful",
+        "_fixed",
+        "seconds",
+    )
 
     def __init__(
         self, camera: Camera, sensor_camera: Camera, depth_noise: DepthNoise, *, least_move: float
@@ -110,9 +121,16 @@ class LoopCloser(Stateful):
         self._places: list[Place] = []
         self._motions: list[MeasuredMotion] = []
         self._waiting: list[MeasuredMotion] = []
-        self._searched = self._solved = 0
+        self._searched = self._solved = self._fixed = 0
         self._doubtful = False
         self.seconds = 0.0
+
+    def adopt(self, places: Sequence[Place]) -> None:
+        """Begin with ``places`` of an earlier map, which stay where they are; before the first frame."""
+        self._places += places
+        for place in places:
+            self._looks.add(place.features.descriptors)
+        self._fixed = len(self._places)
 
     def observe(self, frame: Frame, result: TrackResult) -> Closure | None:
         """Take in a tracked frame; return the loop that it closes, if it does.
@@ -146,7 +164,7 @@ class LoopCloser(Stateful):
         number = len(self._places) - 1
         if number:
             self._motions.append(self._tracked(number, result))
-        for a in range(max(number - 2, 0), number):
+        for a in range(max(number - 2, self._fixed), number):
             motion = self._measure(a, number, _NEIGHBOUR_INLIERS)
             if motion is not None:
                 self._motions.append(motion)
@@ -169,7 +187,8 @@ class LoopCloser(Stateful):
         if result.information is not None and np.isfinite(result.information).all():
             information = information + 0.5 * result.information  # both ends
         covariance = np.linalg.inv(information)
-        size = np.linalg.norm(se3.se3_log(T_ab))
+        # No way lies between an earlier map and the frame that was found in it.
+        size = 0.0 if b == self._fixed else np.linalg.norm(se3.se3_log(T_ab))
         deviation = _LOOSENESS + _TRACKING_SLACK * float(size)
         covariance = covariance + deviation**2 * np.eye(6)
         return MeasuredMotion(b - 1, b, T_ab, covariance * (_POOR**2 if self._doubtful else 1.0))
@@ -211,8 +230,10 @@ class LoopCloser(Stateful):
             return None
         self._solved = newest
         before = np.stack([p.T_wc for p in self._places])
-        after = optimise_poses(before, [*self._motions, *confirmed])
+        after = optimise_poses(before, [*self._motions, *confirmed], fixed=max(self._fixed, 1))
+        after[: self._fixed] = before[: self._fixed]
         motions = after @ np.linalg.inv(before)
+        motions[: self._fixed] = np.eye(4)
         moved = max(p.displacement(motion) for p, motion in zip(self._places, motions, strict=True))
         if moved <= self._least_move:
             return None

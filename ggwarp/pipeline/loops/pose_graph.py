@@ -67,11 +67,11 @@ def is_positive(information: Float64) -> bool:
     return bool(values[0] > _SINGULAR * values[-1])
 
 
-def optimise_poses(poses: Float64, motions: Sequence[MeasuredMotion]) -> Float64:
-    """Return the poses T_wc [n, 4, 4] that agree best with the ``motions``, the first as it is.
+def optimise_poses(poses: Float64, motions: Sequence[MeasuredMotion], *, fixed: int = 1) -> Float64:
+    """Return the poses T_wc [n, 4, 4] that agree best with the ``motions``, the first ``fixed`` as they are.
 
     Args:
-        poses: [n, 4, 4], where to start; every one must hang together with the first by motions.
+        poses: [n, 4, 4], where to start; every one must hang together with the fixed ones by motions.
     """
     import gtsam  # at the first loop: it takes a quarter of a second
 
@@ -79,7 +79,8 @@ def optimise_poses(poses: Float64, motions: Sequence[MeasuredMotion]) -> Float64
     for number, T_wc in enumerate(poses):
         values.insert(number, gtsam.Pose3(T_wc))
     anchor = gtsam.noiseModel.Isotropic.Sigma(6, _ANCHOR)
-    graph.add(gtsam.PriorFactorPose3(0, gtsam.Pose3(poses[0]), anchor))
+    for number in range(fixed):
+        graph.add(gtsam.PriorFactorPose3(number, gtsam.Pose3(poses[number]), anchor))
     kernel: Any = gtsam.noiseModel.mEstimator.Cauchy.Create(_CAUCHY)
     for motion in motions:
         covariance = motion.covariance[np.ix_(_GTSAM_ORDER, _GTSAM_ORDER)]

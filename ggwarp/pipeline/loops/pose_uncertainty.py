@@ -10,7 +10,7 @@ import numpy as np
 from ggwarp.geometry import se3
 from ggwarp.pipeline.loops.loop_closer import Closure
 from ggwarp.runtime.state import Stateful, state_value
-from ggwarp.types import Float64, TrackResult
+from ggwarp.types import Float64, TrackResult, Verdict
 
 _SYSTEMATIC = 2.0
 """How much larger the deviation is than what registrations leave open: a sensor's bias, rolling shutter and a
@@ -55,6 +55,8 @@ class PoseUncertainty(Stateful):
             is_keyframe: later frames will be registered to it.
             closure: the loop that it closed.
         """
+        if not self._keyframes and result.verdict is Verdict.LOST:
+            return float("nan")  # the first frame is still to come
         if not self._keyframes:
             self._keyframes.append(_Keyframe(index, result.T_wc, np.zeros((6, 6))))
             return 0.0

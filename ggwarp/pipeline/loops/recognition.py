@@ -49,7 +49,16 @@ class VisualIndex(Stateful):
         """Return [n - 1] how alike each earlier picture is to the last: cosine of tf-idf; 0 without words."""
         if len(self._counts) < 2:
             return np.zeros(max(len(self) - 1, 0))
-        counts = np.stack(self._counts)
+        return self._similarities(np.stack(self._counts))
+
+    def similarities_to(self, descriptors: NDArray[np.uint8]) -> Float64:
+        """Return [n] how alike each picture is to another one with ``descriptors`` [m, 128]."""
+        if not self._counts:
+            return np.zeros(len(self))
+        return self._similarities(np.stack([*self._counts, self._count(descriptors)]))
+
+    def _similarities(self, counts: Float64) -> Float64:
+        """Return [n - 1] how alike each of the pictures but the last, by ``counts`` [n, words], is to it."""
         seen_by = (counts > 0.0).sum(axis=0)
         weights = np.log(len(counts) / np.maximum(seen_by, 1))
         vectors = counts * weights

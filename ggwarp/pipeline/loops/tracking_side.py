@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from ggwarp.pipeline.loops.loop_closer import Closure, LoopCloser
+from ggwarp.pipeline.loops.places import Place
 from ggwarp.pipeline.loops.pose_graph import solver_is_there
 from ggwarp.pipeline.loops.pose_uncertainty import PoseUncertainty
 from ggwarp.pipeline.tracking.keyframe_policy import KeyframePolicy
@@ -50,6 +51,11 @@ class TrackingLoops(Stateful):
         self._closer = (
             None if self.stay_open else LoopCloser(*cameras, config.gicp.depth_noise, least_move=least)
         )
+
+    def adopt(self, places: Sequence[Place]) -> None:
+        """See :meth:`ggwarp.pipeline.loops.loop_closer.LoopCloser.adopt`."""
+        if self._closer is not None:
+            self._closer.adopt(places)
 
     def close(
         self,

@@ -31,7 +31,7 @@ class KeyframeState:
     """What is known of a keyframe but its images, on the device.
 
     Attributes:
-        index: the frame's.
+        index: the frame's; negative: it is a view of an earlier map.
         has_depth: whether the frame came with depth.
         T_cw: [1] mat44, world to camera.
         pose_moments, pose_steps: [2] vec6 and [1] int, Adam's state of that pose.
@@ -49,6 +49,11 @@ class KeyframeState:
     exposure_moments: wp.array
     exposure_steps: wp.array
     checksum: int
+
+    @property
+    def is_earlier(self) -> bool:
+        """Whether it is a view of an earlier map, whose pose and exposure are as they are."""
+        return self.index < 0
 
 
 @dataclass(frozen=True)
@@ -216,11 +221,16 @@ class Keyframes(Sequence[Keyframe], Stateful):
         }
 
     def restore(self, state: State, frames: FrameSource) -> None:
-        """Read the frames again, and take over what was fitted and labelled."""
+        """Read the frames again, and take over what was fitted and labelled.
+
+        Views of an earlier map are not compared with what they were: another device renders other last bits.
+        """
+        self.states.clear()
+        self._images.clear()
         names = ("indices", "checksums", "has_depth", "labels")
         rows = zip(*(state[name] for name in names), strict=True)
         for number, (index, checksum, has_depth, packed) in enumerate(rows):
-            frame = reread(frames, index, checksum, with_depth=has_depth)
+            frame = frames(index) if index < 0 else reread(frames, index, checksum, with_depth=has_depth)
             labels = None if packed is None else from_png(packed, frame.rgb.shape[:2])
             keyframe = upload(frame, np.eye(4), labels, device=self._images.device)
             for name in (*POSE, *EXPOSURE):

@@ -30,6 +30,10 @@ class KeyframeSampler(Protocol):
         """Take in the next keyframe."""
         ...
 
+    def add_earlier(self) -> None:
+        """Take in a view of an earlier map, before any keyframe: it is of the past."""
+        ...
+
     def next(self) -> int:
         """Return the keyframe to fit the map to; there must be one."""
         ...
@@ -56,6 +60,9 @@ class RandomSampler(Stateful):
     def add(self) -> None:
         self._count += 1
         self._newest_pending = True
+
+    def add_earlier(self) -> None:
+        self._count += 1
 
     def next(self) -> int:
         if self._newest_pending:
@@ -104,6 +111,9 @@ class WindowSampler(Stateful):
         poses = [self._pose(k) for k in self._window]
         for i in reversed(keyframes_that_leave(poses, self._config, self._look)):
             del self._window[i]
+
+    def add_earlier(self) -> None:
+        self._count += 1
 
     def next(self) -> int:
         if not self._round:

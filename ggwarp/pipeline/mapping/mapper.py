@@ -11,7 +11,6 @@ import warp as wp
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.pose_correction import PoseCorrection
-from ggwarp.kernels.optim.rigid_motion import move_gaussians
 from ggwarp.map.covisibility import Covisibility
 from ggwarp.map.gaussian_map import GaussianMap
 from ggwarp.map.gaussians import Gaussians
@@ -127,13 +126,18 @@ class Mapper(Stateful):
 
     @property
     def ready(self) -> bool:
-        """Whether there is anything to fit."""
-        return len(self._keyframes) > 0 and self.map.count > 0
+        """Whether there is anything to fit: not an earlier map alone."""
+        return len(self._keyframes) > 0 and not self._keyframes.states[-1].is_earlier and self.map.count > 0
 
     @property
     def keyframe_indices(self) -> list[int]:
         """Frames that were ever used for mapping."""
-        return self._keyframes.indices
+        return [state.index for state in self._keyframes.states if not state.is_earlier]
+
+    def rehearse(self, view: Frame, T_wc: Float64, rendered: Rendered) -> None:
+        """Fit an earlier map to its own ``view`` from ``T_wc`` [4, 4], too: what is not seen again stays."""
+        labels = None if self.objects is None else self.objects.labels_of(rendered)
+        self._optimiser.add(upload(view, T_wc, labels, device=self._device))
 
     def insert(self, frame: Frame, T_wc: Float64, exposure: Exposure | None = None) -> bool:
         """Make ``frame`` a keyframe and add the Gaussians that it shows and the map lacks.
@@ -231,20 +235,14 @@ class Mapper(Stateful):
 
     def move(self, correction: PoseCorrection) -> None:
         """Let keyframes follow a closed loop, and each Gaussian its keyframe, with Adam's memory of it."""
-        motions = correction.at(self.keyframe_indices)
+        motions = correction.at(self._keyframes.indices)
         if not len(motions):
             return
         self._keyframes.move(motions)
         if self._moving is not None:
             self._moving.move(lambda number: motions[number])
         self._passed_over.move(correction)
-        fields = self.map.fields
-        move_gaussians(
-            wp.array(motions.astype(np.float32), dtype=wp.mat44, device=self._device),
-            count=self.map.count,
-            **{name: fields[name] for name in ("keyframe_ids", "means", "quats", "first", "second")},
-            device=self._device,
-        )
+        self.map.move(motions)
 
     def _drop_unconfirmed(self) -> None:
         """Remove the Gaussians that too few keyframes of a full window see."""
@@ -307,7 +305,8 @@ class Mapper(Stateful):
         """Return the pose of each keyframe that is fitted, by the frame's index; none where poses stay."""
         if not self.fits_poses:
             return {}
-        return {index: self._keyframes.pose(number) for number, index in enumerate(self._keyframes.indices)}
+        numbers = {state.index: number for number, state in enumerate(self._keyframes.states)}
+        return {index: self._keyframes.pose(numbers[index]) for index in self.keyframe_indices}
 
     def keyframe_exposure(self, number: int) -> Exposure:
         """Return the exposure of keyframe ``number`` (-1: the newest) as it is now."""

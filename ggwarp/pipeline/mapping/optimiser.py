@@ -129,7 +129,7 @@ class MapOptimiser(Stateful):
     def add(self, keyframe: Keyframe) -> None:
         """Fit the map to ``keyframe``, too."""
         self._keyframes.append(keyframe)
-        self._sampler.add()
+        (self._sampler.add_earlier if keyframe.is_earlier else self._sampler.add)()
         if self._recorded:
             self._renderer.provide(keyframe.T_cw)
 
@@ -138,9 +138,10 @@ class MapOptimiser(Stateful):
         number = self._sampler.next()
         keyframe = self._keyframes[number]
         with_3d = self._classifier is not None and self._classifier.begin_3d(self.iterations)
-        # The first keyframe holds the world in place, and its brightness.
-        with_pose = number > 0 and any(self._config.pose_rates)
-        with_exposure = number > 0 and self._exposures is not None
+        # The first keyframe holds the world in place, and its brightness, or an earlier map does.
+        free = number > 0 and not keyframe.is_earlier
+        with_pose = free and any(self._config.pose_rates)
+        with_exposure = free and self._exposures is not None
         change = (POSE if with_pose else ()) + (EXPOSURE if with_exposure else ())
         if self._recorded:
             buffered = self._buffer.load(keyframe)

@@ -77,9 +77,7 @@ class GicpTracker(Stateful):
 
     def __init__(self, config: GicpConfig, sensor_camera: Camera, *, device: Any = "cpu") -> None:
         """Make a tracker of frames whose sensor depth was taken by ``sensor_camera``."""
-        self._config = config
-        self._camera = sensor_camera
-        self._device = device
+        self._config, self._camera, self._device = config, sensor_camera, device
         self._registrar = Registrar(device=device)
         self._relocaliser = Relocaliser(sensor_camera)
         self._target: RegistrationTarget | None = None
@@ -100,8 +98,8 @@ class GicpTracker(Stateful):
         seen = self._observe(frame)
         self._motion = MotionModel.at_rest(T_wc, depth_time(frame))
         if seen.count < _MIN_POINTS:
-            return _result(self._motion.T_wc, np.eye(4), seen, None, Verdict.LOST, self._too_few(seen))
-        self._relocaliser.remember(frame, self._motion.T_wc)
+            return _result(T_wc, np.eye(4), seen, None, Verdict.LOST, self._too_few(seen))
+        self.remember(frame, self._motion.T_wc)
         return _result(self._motion.T_wc, np.eye(4), seen, None)
 
     def track(self, frame: Frame, target: MapSnapshot) -> TrackResult:
@@ -165,6 +163,10 @@ class GicpTracker(Stateful):
         assert self._motion is not None and self._before is not None
         T_wd = T_wc @ se3.inverse(self._motion.to_colour(frame))
         self._motion = self._before.updated(T_wd, depth_time(frame))
+
+    def remember(self, frame: Frame, T_wc: Float64) -> None:
+        """Know the view of ``frame`` from ``T_wc`` [4, 4], to find and check poses by."""
+        self._relocaliser.remember(frame, T_wc)
 
     def on_pose_corrected(self, T_wc: Float64) -> None:
         """The points that poses rest on stay where they are, whatever becomes of a keyframe's pose."""

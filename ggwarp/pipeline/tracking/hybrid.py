@@ -160,6 +160,10 @@ class HybridTracker(Stateful):
         self._gicp.registration, self._gicp.information = before
         return result, found
 
+    def remember(self, frame: Frame, T_wc: Float64) -> None:
+        """Know the view of ``frame`` from ``T_wc`` [4, 4], to find and check poses by."""
+        self._gicp.remember(frame, T_wc)
+
     def on_pose_corrected(self, T_wc: Float64) -> None:
         """The points that poses rest on stay where they are, whatever becomes of a keyframe's pose."""
 

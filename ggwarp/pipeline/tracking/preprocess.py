@@ -17,13 +17,13 @@ from ggwarp.runtime.streams import to_host
 from ggwarp.solvers.registration import Cloud, Registration
 from ggwarp.types import Float32, Float64
 
-_SLIP = 1.0
+SLIP = 1.0
 """Largest standard deviation along a surface, metres: how freely matched patches slide along each other."""
 
 _NEAR = 0.1
 """Readings closer are dropped, metres."""
 
-_NEIGHBOURS = 10
+NEIGHBOURS = 10
 """Neighbours that a point's ellipse is fitted to; 16 at most."""
 
 _APART = 4
@@ -146,7 +146,7 @@ def observe(
     points, pixels = points[:n], pixels[:n]
     z = to_host(points)[:, 2]
     spacing = float(np.median(z)) * stride / camera.fx if n else 0.0
-    quats, scales = fit_ellipses(points, pixels, camera, stride=stride, k=_NEIGHBOURS, device=device)
+    quats, scales = fit_ellipses(points, pixels, camera, stride=stride, k=NEIGHBOURS, device=device)
     noise = config.depth_noise(z)
     if weights is not None:
         u, v = to_host(pixels).T
@@ -195,8 +195,8 @@ def _spreads(scales: Any, noise: Float32, noise_share: float, device: Any) -> An
         scales,
         noise=wp.array(noise, dtype=float, device=device),
         noise_share=noise_share,
-        neighbours=_NEIGHBOURS,
-        slip=_SLIP,
+        neighbours=NEIGHBOURS,
+        slip=SLIP,
         scales=spreads,
         device=device,
     )
@@ -230,7 +230,7 @@ def measured_noise(
     normals = se3.matrices_from_quats(quats)[:, :, 2]
     angles = np.arccos(np.clip(np.abs((normals[a] * normals[b]).sum(axis=1)), 0.0, 1.0))
     extents = np.maximum(np.sqrt(scales[a, 0] * scales[a, 1]), 1e-6)
-    expected = noise[a] / (np.sqrt(_NEIGHBOURS) * extents)
+    expected = noise[a] / (np.sqrt(NEIGHBOURS) * extents)
     # The angle between two normals is of Rayleigh's distribution: its median is 1.177 sqrt(2) deviations.
     return float(np.median(angles / expected) / (1.177 * np.sqrt(2.0)))
 

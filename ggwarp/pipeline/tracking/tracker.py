@@ -59,6 +59,15 @@ class FollowsMap(Protocol):
         ...
 
 
+@runtime_checkable
+class RemembersViews(Protocol):
+    """A tracker that finds and checks poses by where the camera has been."""
+
+    def remember(self, frame: Frame, T_wc: Float64) -> None:
+        """Know the view of ``frame``, which has depth, from ``T_wc`` [4, 4]."""
+        ...
+
+
 @dataclass(frozen=True)
 class TrackerContext:
     """What a tracker may be built from.
