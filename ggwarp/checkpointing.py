@@ -14,6 +14,7 @@ from pathlib import Path
 
 import ggwarp
 from ggwarp.config import CheckpointInterval, ConfigError, ResumedRun, RunConfig
+from ggwarp.config.earlier_run import map_checksum
 from ggwarp.console import Display
 from ggwarp.datasets import DatasetError, FrameReader
 from ggwarp.io.toml import toml_text
@@ -66,6 +67,10 @@ class Checkpoints:
         self._folder, self._record, self._display = folder, record, display
         self._config = toml_text(dataclasses.replace(config, out=None))
         self._camera = dataclasses.asdict(reader.camera)
+        self._earlier = None
+        if (earlier := slam.earlier) is not None:
+            folder_of_it = os.path.realpath(earlier.folder)
+            self._earlier = {"folder": folder_of_it, "checksum": map_checksum(earlier)}
         self._started = started
         self._steps = self._last_step = 0
         self._last_time, self._cost_s = time.perf_counter(), 0.0
@@ -118,6 +123,7 @@ class Checkpoints:
             "target": self._folder.target.name,
             "linked": self._folder.linked,
             "camera": self._camera,
+            "earlier": self._earlier,
             "record": record | {"frames": self._progress[0], "wall_s": time.perf_counter() - self._started},
             "tracking": snapshot.tracking,
             "mapping": snapshot.mapping,

@@ -18,6 +18,8 @@ from ggwarp.datasets import BUILT_IN, Dataset, DatasetError
 from ggwarp.datasets.base import is_live
 from ggwarp.datasets.plan.sequence_plan import SequencePlan
 from ggwarp.io.printable import printable
+from ggwarp.pipeline.loops.localisation import Localiser, view_index
+from ggwarp.results.record import RunRecord
 from ggwarp.types import StepReport, Verdict
 
 _FEW_READINGS = 0.02
@@ -99,12 +101,29 @@ def total_failure(reports: Sequence[StepReport], plan: Mapping[str, Any], far: f
     return f"{what}; likely: {cause}" if cause else what
 
 
-def closed_loop(step: StepReport) -> str:
-    """Say which loop a frame closed."""
-    return (
-        f"frame {step.index}: a loop, as at frame {step.loop_with}; the map moved by up to "
-        f"{step.loop_moved_cm:.1f} cm ({step.loop_ms:.0f} ms)"
-    )
+def of_places(step: StepReport, localiser: Localiser | None) -> Iterator[str]:
+    """Yield where in an earlier map a frame was found, if it was this one, and which loop it closed."""
+    place = None if localiser is None else localiser.place
+    if localiser is not None and place is not None and place.frame == step.index:
+        yield (
+            f"frame {place.frame} found in {localiser.name}: near frame {place.near}, "
+            f"{place.matches} matches, {100.0 * place.overlap:.0f} % of its points on the map"
+        )
+    if step.loop_with is not None:
+        seen = step.loop_with
+        where = f"frame {seen}" if seen >= 0 else f"frame {view_index(seen)} of the earlier run"
+        yield (
+            f"frame {step.index}: a loop, as at {where}; the map moved by up to "
+            f"{step.loop_moved_cm:.1f} cm ({step.loop_ms:.0f} ms)"
+        )
+
+
+def nothing_done(name: str, record: RunRecord, localiser: Localiser | None) -> Exception | None:
+    """Return why there is nothing to save of the frames of the sequence ``name``; None: there is."""
+    if record.reports:
+        return None if localiser is None else localiser.failure
+    first = next(iter(record.skipped.values()), "none came")
+    return DatasetError(f"{name}: no frame could be used; the first: {first}")
 
 
 def of_speed(dropped: int, reports: Sequence[StepReport]) -> Iterator[str]:

@@ -5,12 +5,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from ggwarp.config import ConfigError, RunConfig
 from ggwarp.console import Display
-from ggwarp.datasets import FrameReader
+from ggwarp.datasets import Dataset, FrameReader
+from ggwarp.pipeline.earlier_map import EmptyMapError
 from ggwarp.pipeline.scheduler import LiveScheduler, Scheduler, UncappedScheduler
 from ggwarp.pipeline.slam import Slam
+from ggwarp.results.record import RunRecord
+from ggwarp.results.saved_run import SavedRun
 from ggwarp.runtime import loading
 from ggwarp.runtime.image_store import ImageStore
 
@@ -23,14 +27,44 @@ def load_kernels(device: str, display: Display) -> None:
     loading.load(modules, device)
 
 
-def build_system(config: RunConfig, reader: FrameReader, budget: int, folder: Callable[[], Path]) -> Slam:
+def build_system(
+    config: RunConfig,
+    reader: FrameReader,
+    budget: int,
+    folder: Callable[[], Path],
+    display: Display,
+    earlier: SavedRun | None = None,
+) -> Slam:
     """Return the system of a run, before its first frame.
 
     Args:
         reader: of the frames that it is to process.
         budget: bytes for the images of keyframes.
         folder: tells where those go that are beyond it.
+        earlier: the run in whose map it begins; None: with an empty map.
+
+    Raises:
+        ConfigError: there is nothing in the earlier map to find a frame by.
     """
+    if earlier is not None:
+        load_kernels(config.device, display)  # it is looked at from all over
+        size, objects = len(earlier.gaussians), len(earlier.objects)
+        display.note(f"beginning in the map of {earlier.folder}: {size} Gaussians, {objects} objects")
+        if objects and not config.slam.use_identity:
+            display.warn(f"--no-use-identity: the objects of {earlier.folder} are left behind")
+    try:
+        return _slam(config, reader, budget, folder, earlier)
+    except EmptyMapError as error:
+        raise ConfigError(f"--start-from {error}") from None
+
+
+def _slam(
+    config: RunConfig,
+    reader: FrameReader,
+    budget: int,
+    folder: Callable[[], Path],
+    earlier: SavedRun | None,
+) -> Slam:
     return Slam(
         config.slam,
         reader.camera,
@@ -38,7 +72,16 @@ def build_system(config: RunConfig, reader: FrameReader, budget: int, folder: Ca
         device=config.device,
         scheduler=_scheduler(config, len(reader)),
         images=ImageStore(device=config.device, budget=budget, folder=folder),
+        earlier=earlier,
     )
+
+
+def new_record(name: str, dataset: Dataset, config: RunConfig, plan: dict[str, Any]) -> RunRecord:
+    """Return the record of a run of the sequence ``name`` before its first frame; ``plan``: as it has it."""
+    # The objects of untracked masks are numbered by the map.
+    names = getattr(dataset, "class_names", {}) if config.slam.masks_kind == "tracked" else {}
+    monocular = config.slam.mono
+    return RunRecord(name, dataset.kind, config.device, class_names=names, monocular=monocular, plan=plan)
 
 
 def _scheduler(config: RunConfig, frames: int) -> Scheduler | None:

@@ -48,7 +48,8 @@ def _main(arguments: list[str], interruption: Interruption, started: float) -> i
     from ggwarp.config.command_line import parse
     from ggwarp.console import open_display
     from ggwarp.datasets import DatasetError
-    from ggwarp.session import Session
+    from ggwarp.pipeline.loops.localisation import NotFoundError
+    from ggwarp.session import FAILED, Session
 
     display: Display | None = None
     try:
@@ -68,11 +69,14 @@ def _main(arguments: list[str], interruption: Interruption, started: float) -> i
                 started=started,
                 interval=command.interval,
                 resumed=command.resumed,
+                earlier=command.earlier,
                 viewer=viewer,
             )
             return session.run()
     except (ConfigError, DatasetError) as error:
         return _refuse(display, str(error))
+    except NotFoundError as error:
+        return _refuse(display, str(error), FAILED)
     except MemoryError:
         return _refuse(display, "out of memory: try a smaller --scale, or fewer --frames")
     except OSError as error:

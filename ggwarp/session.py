@@ -25,12 +25,13 @@ from ggwarp.evaluation.lpips import open_lpips
 from ggwarp.interruption import Interruption
 from ggwarp.io.camera import write_camera
 from ggwarp.io.toml import write_toml
+from ggwarp.pipeline.loops.localisation import NotFoundError
 from ggwarp.pipeline.runner import SideError, Snapshot, run_steps
 from ggwarp.pipeline.tracked_frame import TrackedFrame
-from ggwarp.preparation import build_system, load_kernels, works_concurrently
+from ggwarp.preparation import build_system, load_kernels, new_record, works_concurrently
 from ggwarp.results.checkpoints import kept_in
 from ggwarp.results.metrics import measured
-from ggwarp.results.record import RunRecord
+from ggwarp.results.saved_run import SavedRun
 from ggwarp.results.staging import StagedFolder
 from ggwarp.runtime import loading
 from ggwarp.runtime.memory import image_budget
@@ -60,6 +61,7 @@ class Session:
         started: float | None = None,
         interval: CheckpointInterval | None = None,
         resumed: ResumedRun | None = None,
+        earlier: SavedRun | None = None,
         viewer: RunViewer | None = None,
     ) -> None:
         """Make a session that has done nothing yet.
@@ -70,12 +72,14 @@ class Session:
             started: time.perf_counter() at the command's start; None: now.
             interval: how often a checkpoint is written; None: never.
             resumed: the run to go on with, whose ``config`` is like it; None: a new one.
+            earlier: the run in whose map it begins; None: with an empty map.
             viewer: shows the run while it goes on; None: nobody looks.
         """
         self.config = config
         self.folder: StagedFolder | None = None
         self._started = time.perf_counter() if started is None else started
-        self._interval, self._resumed, self._display = interval or CheckpointInterval(), resumed, display
+        self._interval, self._display = interval or CheckpointInterval(), display
+        self._resumed, self._earlier = resumed, earlier
         self._viewer: RunViewer = viewer or NoViewer()
         self._interruption = interruption or Interruption()
 
@@ -83,7 +87,7 @@ class Session:
         """Run it and return the exit code: 0, 1 (failed on the way), or that of the signal.
 
         Raises:
-            ConfigError, DatasetError, OSError: it cannot be done as it is asked for.
+            ConfigError, DatasetError, NotFoundError, OSError: it cannot be done as it is asked for.
         """
         try:
             self.open()
@@ -117,13 +121,13 @@ class Session:
         )
         if not len(dataset):
             raise DatasetError(f"{seq}: the sequence is empty")
-        self.config = config = resolve_config(asked, dataset)
+        self.config = config = resolve_config(asked, dataset, earlier=self._earlier)
         self._dataset = WithoutDepth(dataset) if config.slam.mono else dataset
         self._indices = frame_indices(config.frames, len(dataset))
         self._name = seq if dataset.kind == "synthetic" else dataset.name
         self.folder = staged_folder(config, self._resumed, self._name)
         plan = plan_sequence(self._dataset, self._indices, tracked_masks=config.slam.masks_kind == "tracked")
-        self._plan = plan.to_json()
+        self._plan = plan.to_json() | ({"start_from": str(self._earlier.folder)} if self._earlier else {})
         messages.introduce(display, plan, messages.introduction(asked, config, dataset, len(self._indices)))
 
     def prepare(self) -> None:
@@ -134,16 +138,13 @@ class Session:
         self._reader = FrameReader(dataset, self._indices, scale=scale, stopped=lambda: self._stopped)
         self._kept = KeptFrames(dataset, scale=scale, budget=budget, stopped=lambda: self._stopped)
         self._frames = self._reader if self._resumed is None else self._reader.after(self._resumed.done)
-        self._slam = build_system(config, self._frames, budget - self._kept.room, folder.nearest)
+        self._slam = build_system(
+            config, self._frames, budget - self._kept.room, folder.nearest, self._display, self._earlier
+        )
         if reason := self._slam.loops.stay_open:
             self._display.note(f"loops stay open: {reason}")
         self._concurrent = works_concurrently(config, self._slam)
-        # The objects of untracked masks are numbered by the map.
-        names = getattr(dataset, "class_names", {}) if config.slam.masks_kind == "tracked" else {}
-        self.record = RunRecord(
-            self._name, dataset.kind, config.device, class_names=names, monocular=config.slam.mono
-        )
-        self.record.plan = self._plan
+        self.record = new_record(self._name, dataset, config, self._plan)
         self._pending: list[TrackedFrame] = []
         if self._resumed is not None:
             self._pending = go_on(self._resumed, config, self._slam, self.record, self._reader, self._display)
@@ -163,7 +164,7 @@ class Session:
         """Process the frames; a failure of either side ends the loop and is kept in the record.
 
         Raises:
-            DatasetError: no frame could be used.
+            DatasetError: no frame could be used. NotFoundError: none was found in an earlier run's map.
             KeyboardInterrupt: it was interrupted before the first one.
         """
         reader, record = self._frames, self.record
@@ -190,7 +191,8 @@ class Session:
                     self._take(item, step)
                     self._kept.keep(item)  # for the evaluation
         except SideError as error:
-            record.failure = error
+            if not isinstance(error.__cause__, NotFoundError):
+                record.failure = error
         except KeyboardInterrupt:  # a step did not end: what was done before it is saved
             if not self._stopped:
                 raise
@@ -201,11 +203,9 @@ class Session:
             record.plan["dropped"] = lost
         for line in messages.of_speed(lost, record.reports):
             self._display.warn(line)
-        if not record.reports and record.failure is None:
-            if self._stopped:
-                raise KeyboardInterrupt
-            first = next(iter(record.skipped.values()), "none came")
-            raise DatasetError(f"{self._dataset.name}: no frame could be used; the first: {first}")
+        nothing = messages.nothing_done(self._dataset.name, record, self._slam.localiser)
+        if nothing is not None and record.failure is None:
+            raise KeyboardInterrupt if self._stopped else nothing
 
     def refine(self) -> None:
         """Fit the finished map some iterations more; Ctrl-C alone ends that early, and the run goes on.
@@ -318,8 +318,8 @@ class Session:
             self.record.truth[frame.index] = frame.T_wc
         if step.verdict is Verdict.LOST:
             self._display.warn(f"frame {frame.index} lost: {step.reason}")
-        elif step.loop_with is not None:
-            self._display.note(messages.closed_loop(step))
+        for line in messages.of_places(step, self._slam.localiser):
+            self._display.note(line)
         self.record.loop_s = time.perf_counter() - self._loop_started
         self._display.advance(messages.status(step, len(reports) / self.record.loop_s))
         self._loop_started += self._viewer.show(frame, step, lambda: self._stopped)

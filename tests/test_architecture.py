@@ -46,15 +46,16 @@ ALLOWED: dict[str, set[str]] = {
     "report": _VALUES | {"map", "io", "objects", "evaluation", "results", "config"},
     "config": {"types", "geometry", "io", "datasets", "console", "results", *_SYSTEM},
     "console": {"io"},
-    "messages": {"types", "io", "config", "console", "datasets"},
+    "messages": {"types", "io", "config", "console", "datasets", "results", "pipeline.loops"},
     "saving": {"types", "console", "messages", "results", "report"},
     "checkpointing": {"runtime", "io", "datasets", "results", "config", "console", *_SYSTEM},
     "interruption": set(),
-    "preparation": {"runtime", "datasets", "config", "console", *_SYSTEM},
+    "preparation": {"runtime", "datasets", "results", "config", "console", *_SYSTEM},
     "session": {"types", "runtime", "io", "datasets", "evaluation", "results"}
     | {"config", "console", "interruption", "preparation", "messages", "saving", "checkpointing", *_SYSTEM}
     | {"viewer"},
-    "run": {"io", "datasets", "config", "console", "interruption", "session", "results", "viewer"},
+    "run": {"io", "datasets", "config", "console", "interruption", "session", "results", "viewer"}
+    | {"pipeline.loops"},
     "suite": {"runtime", "io", "datasets", "results", "config", "console", "interruption", "run"}
     | {"pipeline", "pipeline.tracking"},
     "commands": {"types", "geometry", "runtime", "io", "datasets", "evaluation", *_SYSTEM},

@@ -16,6 +16,7 @@ from typing import Annotated
 import tyro
 
 from ggwarp.config.checkpoint_interval import CheckpointInterval, checkpoint_interval
+from ggwarp.config.earlier_run import map_checksum, open_earlier
 from ggwarp.config.options import GROUPS, Option, option_table
 from ggwarp.config.presets import load_config, preset_config
 from ggwarp.config.resumed_run import ResumedRun, check_changes, open_resumed
@@ -23,6 +24,7 @@ from ggwarp.config.run_config import ConfigError, RunConfig, check
 from ggwarp.console import Verbosity
 from ggwarp.io.suggestion import did_you_mean
 from ggwarp.pipeline.tracking.tracker import TrackerError
+from ggwarp.results.saved_run import SavedRun
 
 _COLUMNS = 100
 _FLAG_COLUMNS = 20
@@ -49,6 +51,9 @@ class Command:
     """A saved config.toml to start from, instead of a preset."""
     resume: Path | None = None
     """A run to go on with, by its folder: it may be done, stopped or killed. It keeps its options."""
+    start_from: Path | None = None
+    """The run, by its folder, in whose map this one begins. The first frame is looked for there; map and
+    objects go on in a new folder, and that run stays as it is."""
     checkpoint_every: str = "60s"
     """Write a checkpoint every so many frames, such as 100, or seconds, such as 60s. The word off means
     never."""
@@ -57,6 +62,7 @@ class Command:
     viewer_at: str | None = None
     """Show the run in the browser at HOST:PORT, such as 0.0.0.0:8080, which the network reaches."""
     resumed: Annotated[ResumedRun | None, tyro.conf.Suppress, tyro.conf.Fixed] = None
+    earlier: Annotated[SavedRun | None, tyro.conf.Suppress, tyro.conf.Fixed] = None
     verbose: Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(aliases=["-v"])] = False
     """Say more: a line for every frame, and what the library logs in detail."""
     quiet: Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(aliases=["-q"])] = False
@@ -114,7 +120,21 @@ def parse(arguments: list[str]) -> Command:
         command = dataclasses.replace(command, run=whole)
     check(command.run)
     _ = command.interval
-    return command
+    return dataclasses.replace(command, earlier=_earlier(command))
+
+
+def _earlier(command: Command) -> SavedRun | None:
+    """Return the run in whose map the command's begins, or began; None: with an empty map."""
+    before = None if command.resumed is None else command.resumed.earlier
+    where = command.start_from or (None if before is None else before.folder)
+    if where is None:
+        return None
+    if command.resumed is not None and before is None:
+        raise ConfigError("--start-from: with --resume a run keeps what it began with, an empty map")
+    found = open_earlier(where, command.run.out)
+    if before is not None and map_checksum(found) != before.checksum:
+        raise ConfigError(f"--start-from {where}: its map is not the one that the run to go on with began in")
+    return found
 
 
 def _parsed(arguments: list[str], default: Command) -> Command:

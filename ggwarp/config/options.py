@@ -18,7 +18,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "The recording": ("seq", "data", "frames", "masks", "masks-kind", "masks-void", "mono", "intrinsics"),
     "The method": ("config", "preset", "tracker", "loops", "policy", "use-identity", "refine"),
     "The machine and the pace": ("device", "scale", "fps", "pipelined", "memory"),
-    "The results": ("out", "save-renders", "checkpoint-every", "resume", "viewer", "viewer-at"),
+    "The results": ("out", "save-renders", "checkpoint-every", "resume", "start-from", "viewer", "viewer-at"),
 }
 """The options that are not of one part of the system, by what they are about."""
 
@@ -78,7 +78,8 @@ def _command_options() -> list[Option]:
     from ggwarp.config.command_line import Command
 
     texts = _field_texts(Command)
-    own = [f for f in dataclasses.fields(Command) if f.name not in ("run", "resumed", "verbose", "quiet")]
+    others = ("run", "resumed", "earlier", "verbose", "quiet")
+    own = [f for f in dataclasses.fields(Command) if f.name not in others]
     named = [(f.name.replace("_", "-"), f) for f in own]
     return [Option(f"--{name}", _shown(f.default), texts[f.name], _group(name)) for name, f in named]
 

@@ -12,16 +12,20 @@ from ggwarp.datasets import Dataset
 from ggwarp.geometry.camera import Camera
 from ggwarp.pipeline.mapping.mapper import MapperConfig
 from ggwarp.pipeline.slam_config import SlamConfig
+from ggwarp.results.saved_run import SavedRun
 
 _CPU_PIXELS = 50_000  # what two cores can map at a few frames a second
 _MIN_SIDE = 16  # pixels: one tile
 _RENDERED_FRAMES = 10  # of a run, where nothing else is asked for
 
 
-def resolve_config(config: RunConfig, dataset: Dataset) -> RunConfig:
+def resolve_config(config: RunConfig, dataset: Dataset, *, earlier: SavedRun | None = None) -> RunConfig:
     """Return ``config`` with nothing left open: device, scale, renders, and what ``dataset`` has not got.
 
     Without depth the system is monocular. Without masks no objects are learnt: the picture gets the time.
+
+    Args:
+        earlier: the run in whose map it begins, and whose objects are kept, if there is one.
 
     Raises:
         ConfigError: an option does not fit the data set or this machine.
@@ -33,7 +37,11 @@ def resolve_config(config: RunConfig, dataset: Dataset) -> RunConfig:
         slam = dataclasses.replace(slam, masks_kind="untracked")
     if slam.mono or not dataset.has_depth:
         slam = monocular(slam)
-    slam = dataclasses.replace(slam, use_identity=slam.use_identity and dataset.has_masks)
+    if earlier is not None and (slam.mono or slam.tracker == "ground-truth"):
+        why = "colour alone has no scale" if slam.mono else "--tracker ground-truth has a world of its own"
+        raise ConfigError(f"--start-from {earlier.folder}: the camera is found by depth and colour; {why}")
+    objects = dataset.has_masks or (earlier is not None and bool(earlier.objects))
+    slam = dataclasses.replace(slam, use_identity=slam.use_identity and objects)
     device = device_name(config.device)
     frames = len(frame_indices(config.frames, len(dataset)))
     renders = config.save_renders

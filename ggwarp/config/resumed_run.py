@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ggwarp.config.earlier_run import EarlierMap
 from ggwarp.config.presets import config_of
 from ggwarp.config.run_config import ConfigError, RunConfig
 from ggwarp.io.camera import finite_number
@@ -35,6 +36,7 @@ class ResumedRun:
         done: frames behind it.
         refined: iterations of refinement behind it.
         wall_s: seconds that the run has taken so far.
+        earlier: whose map it began in; None: in an empty one.
         faults: why newer checkpoints cannot be used, if there were any.
     """
 
@@ -47,6 +49,7 @@ class ResumedRun:
     done: int
     refined: int
     wall_s: float
+    earlier: EarlierMap | None
     faults: tuple[str, ...]
 
 
@@ -66,6 +69,8 @@ def open_resumed(run: Path) -> ResumedRun:
         # A run may have been given a name that looks like that of an unfinished one.
         target = found.folder if tree["target"] == found.folder.name else found.target
         linked = bool(tree["linked"])
+        begun_in = tree["earlier"]
+        earlier = begun_in and EarlierMap(Path(begun_in["folder"]), int(begun_in["checksum"]))
     except FileError as error:
         raise ConfigError(f"--resume {error}") from None
     except (TomlError, TrackerError, KeyError, TypeError, ValueError, AttributeError) as error:
@@ -76,7 +81,7 @@ def open_resumed(run: Path) -> ResumedRun:
     adopted = found.folder.resolve() != target.resolve()
     config = dataclasses.replace(config, refine=max(0, config.refine - refined))
     return ResumedRun(
-        found.folder, target, adopted, linked, config, tree, done, refined, wall_s, tuple(faults)
+        found.folder, target, adopted, linked, config, tree, done, refined, wall_s, earlier, tuple(faults)
     )
 
 

@@ -82,7 +82,7 @@ class RunConfig:
     """The run folder. Default: runs/SEQ/UTC-TIME, linked as runs/latest."""
 
     save_renders: int | None = None
-    """Save the renders of every N-th frame, 0 for none. Default: of about ten frames."""
+    """Save renders of every N-th frame, 0 for none. Default: of about ten frames."""
 
     built_in: SensorFaults = field(default_factory=SensorFaults)
     """What is wrong with the camera of a built-in scene; by default nothing is."""

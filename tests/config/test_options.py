@@ -16,6 +16,7 @@ def test_there_are_few_options():
     assert set(flags) - set(decisive) == {
         "--config",
         "--resume",
+        "--start-from",
         "--checkpoint-every",
         "--viewer",
         "--viewer-at",

@@ -25,8 +25,9 @@ class FakeSlam:
     sequential_only = False
     can_refine = True
     has_state = False
+    localiser = earlier = None
 
-    def __init__(self, config, camera, sensor_camera, *, device, scheduler=None, images=None):
+    def __init__(self, config, camera, sensor_camera, *, device, scheduler=None, images=None, earlier=None):
         self.camera, self.device, self.scheduler = camera, device, scheduler
         self.refined = 0
         self.keyframe_indices, self.voting_indices = [0, 1], [3]
