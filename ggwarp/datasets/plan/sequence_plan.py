@@ -15,6 +15,7 @@ from ggwarp.datasets.base import Dataset, DatasetError, FrameError, is_live
 from ggwarp.datasets.plan.camera_checks import camera_doubts, field_of_view
 from ggwarp.datasets.plan.correspondence import edges_of_depth, judge, neighbours
 from ggwarp.datasets.plan.depth_checks import depth_faults, depth_statistics
+from ggwarp.datasets.plan.focal_check import View, focal_doubt, pairs_around, view_of
 from ggwarp.datasets.plan.mask_checks import mask_doubts
 from ggwarp.datasets.source import source_of
 from ggwarp.types import Frame
@@ -112,8 +113,7 @@ def plan_sequence(
             if fault.certain:
                 raise DatasetError(f"{dataset.name}: {fault.reason}")
         warnings += [fault.reason for fault in faults]
-        if doubt := _judged(dataset, frames):
-            warnings.append(doubt)
+        warnings += [doubt for doubt in _judged(dataset, frames) if doubt]
     warnings += _mask_doubts(dataset, frames, tracked_masks)
     wide, high = field_of_view(camera)
     count = "as they come" if is_live(dataset) else f"{len(dataset)} frames"
@@ -156,18 +156,25 @@ def _looked_at(dataset: Dataset, indices: Sequence[int]) -> tuple[list[Frame], i
     return frames, bad
 
 
-def _judged(dataset: Dataset, frames: Sequence[Frame]) -> str:
+def _judged(dataset: Dataset, frames: Sequence[Frame]) -> tuple[str, str]:
+    """Say what is doubtful about the pairing of colour and depth, and about the focal length."""
     pictures = {frame.index: frame.rgb for frame in frames}
-    known = {frame.index: frame.depth for frame in frames}
+    pairs = pairs_around(pictures, len(dataset))
+    whole = {index for pair in pairs for index in pair}
+    known = {frame.index: frame for frame in frames}
     depth_of = _attribute(dataset, "depth_of") or (lambda index: dataset[index].depth)
     edges: dict[int, NDArray[np.bool_]] = {}
+    views: dict[int, View] = {}
     # In rising order: what is packed in a row is read once.
     for index in neighbours(pictures, len(dataset)):
         with contextlib.suppress(FrameError):
-            depth = known[index] if index in known else depth_of(index)
+            frame = known.get(index) or (dataset[index] if index in whole else None)
+            depth = depth_of(index) if frame is None else frame.depth
             if depth is not None:
                 edges[index] = edges_of_depth(depth)
-    return judge(pictures, edges)
+                if frame is not None and index in whole:
+                    views[index] = view_of(frame)
+    return judge(pictures, edges), focal_doubt(views, pairs, dataset.camera)
 
 
 def _mask_doubts(dataset: Dataset, frames: Sequence[Frame], tracked: bool) -> Iterator[str]:
