@@ -7,6 +7,8 @@ block's there, so that all warps have to come to as many: :func:`goes_on` is how
 
 import warp as wp
 
+from ggwarp.kernels.math import vec16
+
 wp.set_module_options({"enable_backward": False})
 
 
@@ -32,6 +34,41 @@ def load4(data: wp.array[wp.vec4], i: int) -> wp.vec4:
 """)
 def store4(data: wp.array[wp.vec4], i: int, v: wp.vec4):
     """Write a quad by one store."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    const float4* quads = reinterpret_cast<const float4*>(data.data + i);
+    wp::vec_t<16, float> v;
+    for (int k = 0; k < 4; ++k) {
+        const float4 q = quads[k];
+        v[4 * k] = q.x;
+        v[4 * k + 1] = q.y;
+        v[4 * k + 2] = q.z;
+        v[4 * k + 3] = q.w;
+    }
+    return v;
+#else
+    return data.data[i];
+#endif
+""")
+def load16(data: wp.array[vec16], i: int) -> vec16:
+    """Return a row by four loads instead of sixteen; ``data`` is contiguous."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    float4* quads = reinterpret_cast<float4*>(data.data + i);
+    for (int k = 0; k < 4; ++k)
+        quads[k] = make_float4(v[4 * k], v[4 * k + 1], v[4 * k + 2], v[4 * k + 3]);
+#else
+    data.data[i] = v;
+#endif
+""")
+def store16(data: wp.array[vec16], i: int, v: vec16):
+    """Write a row by four stores instead of sixteen; ``data`` is contiguous."""
     ...
 
 

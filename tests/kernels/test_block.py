@@ -10,6 +10,7 @@ from ggwarp.kernels.block import (
     from_other_half,
     goes_on,
     load4,
+    load16,
     lowest_bit,
     put_float,
     put_int,
@@ -17,10 +18,12 @@ from ggwarp.kernels.block import (
     short_exp,
     short_ratio,
     store4,
+    store16,
     sync_block,
     sync_warp,
     vote,
 )
+from ggwarp.kernels.math import vec16
 
 
 @wp.kernel(enable_backward=False)
@@ -63,6 +66,12 @@ def quads_kernel(data: wp.array[wp.vec4], out: wp.array[wp.vec4]):
 
 
 @wp.kernel(enable_backward=False)
+def rows_kernel(data: wp.array[vec16], out: wp.array[vec16]):
+    i = wp.tid()
+    store16(out, i, load16(data, data.shape[0] - 1 - i) * 2.0)
+
+
+@wp.kernel(enable_backward=False)
 def short_kernel(x: wp.array[float], exps: wp.array[float], ratios: wp.array[float]):
     i = wp.tid()
     exps[i] = short_exp(x[i])
@@ -91,6 +100,13 @@ def test_quads_move_through_shared_memory_and_between_halves(blocks_on_cpu, devi
     wp.launch_tiled(quads_kernel, dim=1, inputs=[data], outputs=[out], block_dim=64, device=device)
     values[:, 3] = 7.0
     assert np.array_equal(out.numpy(), values + values[np.arange(64) ^ 16])
+
+
+def test_rows_are_read_and_written_whole(device, rng):
+    values = rng.normal(size=(9, 16)).astype(np.float32)
+    data, out = wp.array(values, dtype=vec16, device=device), wp.zeros(9, dtype=vec16, device=device)
+    wp.launch(rows_kernel, dim=9, inputs=[data], outputs=[out], device=device)
+    assert np.array_equal(out.numpy(), 2.0 * values[::-1])
 
 
 def test_short_forms_are_close(device):

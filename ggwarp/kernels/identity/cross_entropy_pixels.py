@@ -11,7 +11,7 @@ from typing import Any
 
 import warp as wp
 
-from ggwarp.kernels.block import load4
+from ggwarp.kernels.block import load16
 from ggwarp.kernels.math import vec16
 from ggwarp.kernels.raster.sampling import BAND_ROWS, first_band
 
@@ -40,20 +40,6 @@ def sampled_block(i: int, across: int, stride: int, phase: wp.array[wp.int32]):
     turn = i / across
     column = i - across * turn
     return column, wp.min(first_band(column, 0, stride, phase), 1 << 20) + turn * stride
-
-
-@wp.func
-def weight_row(weights: wp.array[vec16], c: int) -> vec16:
-    """A class's weights, by four loads."""
-    quads = wp.array(ptr=weights.ptr, shape=(4 * weights.shape[0],), dtype=wp.vec4)
-    v0 = load4(quads, 4 * c)
-    v1 = load4(quads, 4 * c + 1)
-    v2 = load4(quads, 4 * c + 2)
-    v3 = load4(quads, 4 * c + 3)
-    return vec16(
-        v0[0], v0[1], v0[2], v0[3], v1[0], v1[1], v1[2], v1[3],
-        v2[0], v2[1], v2[2], v2[3], v3[0], v3[1], v3[2], v3[3],
-    )  # fmt: skip
 
 
 @wp.func
@@ -95,7 +81,7 @@ def _pixels_kernel(
         largest = float(-1.0e30)
         total = float(0.0)
         for c in range(classes):
-            z = wp.dot(weight_row(weights, c), e) + biases[c]
+            z = wp.dot(load16(weights, c), e) + biases[c]
             if z > largest:
                 total = total * wp.exp(largest - z) + 1.0
                 largest = z
@@ -104,9 +90,9 @@ def _pixels_kernel(
         log_sum = largest + wp.log(total)
         log_sums[row, column] = log_sum
         for c in range(classes):
-            w = weight_row(weights, c)
+            w = load16(weights, c)
             d += w * wp.exp(wp.dot(w, e) + biases[c] - log_sum)
-        d = (d - weights[label]) * scale
+        d = (d - load16(weights, label)) * scale
     for k in range(16):
         d_image[IDENTITY_PLANE + k, row, column] = d[k]
 
@@ -133,7 +119,7 @@ def _classes_kernel(
     d = vec16()
     db = float(0.0)
     loss = float(0.0)
-    w = weight_row(weights, c)
+    w = load16(weights, c)
     for block in range(part, blocks, rows):
         block_column, band = sampled_block(block, image.shape[2] / 16, stride, phase)
         for k in range(_PIXELS):

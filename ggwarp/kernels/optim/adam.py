@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from ggwarp.kernels.block import load16, store16
 from ggwarp.kernels.math import vec6, vec16
 from ggwarp.runtime.launch import launch_split
 
@@ -160,7 +161,7 @@ def _gaussians_kernel(
     )  # fmt: skip
     e = vec16()
     if with_identity != 0:
-        e = d_identities[i]
+        e = load16(d_identities, i)
     # One bad number and the whole Gaussian keeps still; the comparison is false for NaN.
     if not (wp.dot(g, g) + wp.dot(e, e) < _FINITE):
         return
@@ -169,10 +170,10 @@ def _gaussians_kernel(
     t = float(step)
     slower = 1.0 / wp.sqrt(1.0 + slowing * (t - 1.0))
 
-    m = BETA1 * first[i] + (1.0 - BETA1) * g
-    v = BETA2 * second[i] + (1.0 - BETA2) * wp.cw_mul(g, g)
-    first[i] = m
-    second[i] = v
+    m = BETA1 * load16(first, i) + (1.0 - BETA1) * g
+    v = BETA2 * load16(second, i) + (1.0 - BETA2) * wp.cw_mul(g, g)
+    store16(first, i, m)
+    store16(second, i, v)
     d = _step(m, v, rates[0] * slower, t)
     means[i] -= wp.vec3(d[0], d[1], d[2])
     quats[i] = wp.normalize(quats[i] - wp.vec4(d[3], d[4], d[5], d[6]))
@@ -181,11 +182,11 @@ def _gaussians_kernel(
     colours[i] -= wp.vec3(d[11], d[12], d[13])
 
     if with_identity != 0:
-        m = BETA1 * first_identity[i] + (1.0 - BETA1) * e
-        v = BETA2 * second_identity[i] + (1.0 - BETA2) * wp.cw_mul(e, e)
-        first_identity[i] = m
-        second_identity[i] = v
-        identities[i] -= _step(m, v, rates[1], t)
+        m = BETA1 * load16(first_identity, i) + (1.0 - BETA1) * e
+        v = BETA2 * load16(second_identity, i) + (1.0 - BETA2) * wp.cw_mul(e, e)
+        store16(first_identity, i, m)
+        store16(second_identity, i, v)
+        store16(identities, i, load16(identities, i) - _step(m, v, rates[1], t))
 
 
 @wp.kernel

@@ -13,7 +13,7 @@ Habits that keep NVRTC's code short (seen in SASS): vectors that a loop carries 
 
 import warp as wp
 
-from ggwarp.kernels.block import load4, lowest_bit, put_int, put_quad, short_exp, sync_block, vote
+from ggwarp.kernels.block import load4, load16, lowest_bit, put_int, put_quad, short_exp, sync_block, vote
 from ggwarp.kernels.math import vec16
 from ggwarp.kernels.raster.composite_patches import (
     ALPHA_MAX,
@@ -44,20 +44,6 @@ def pixel_column(lane: int) -> int:
 @wp.func
 def pixel_row(lane: int) -> int:
     return (lane >> 6) * 4 + ((lane >> 3) & 3)
-
-
-@wp.func
-def splat_on_tile(quarters: wp.array[wp.vec4], gaussian: int, tile_x: int, tile_y: int) -> vec16:
-    """A splat's row, on_tile, by four loads; ``quarters`` is a view of the rows."""
-    a = load4(quarters, 4 * gaussian)
-    b = load4(quarters, 4 * gaussian + 1)
-    c = load4(quarters, 4 * gaussian + 2)
-    d = load4(quarters, 4 * gaussian + 3)
-    row = vec16(
-        a[0], a[1], a[2], a[3], b[0], b[1], b[2], b[3],
-        c[0], c[1], c[2], c[3], d[0], d[1], d[2], d[3],
-    )  # fmt: skip
-    return on_tile(row, tile_x, tile_y)
 
 
 @wp.func
@@ -102,7 +88,6 @@ def _make_forward(channels: int):
         lane = thread & 255
         tile_y = tile / tiles_x
         tile_x = tile - tile_y * tiles_x
-        quarters = wp.array(ptr=rows.ptr, shape=(4 * rows.shape[0],), dtype=wp.vec4)
         codes = wp.array(ptr=identities.ptr, shape=(4 * identities.shape[0],), dtype=wp.vec4)
         # Of the k-th splat: at k the factors of dx^2, dx dy, dy^2 in ln alpha, and ln opacity; at 256 + k
         # centre and slope; at 512 + k colour and depth.
@@ -128,7 +113,7 @@ def _make_forward(channels: int):
             met = int(0)
             if lane < size:
                 gaussian = slot_gaussians[pair_slots[begin + lane]]
-                s = splat_on_tile(quarters, gaussian, tile_x, tile_y)
+                s = on_tile(load16(rows, gaussian), tile_x, tile_y)
                 put_quad(splats, lane, wp.vec4(s[0], s[1], s[2], s[14]))
                 put_quad(splats, BLOCK | lane, wp.vec4(s[4], s[5], s[6], s[7]))
                 put_quad(splats, 2 * BLOCK | lane, wp.vec4(s[8], s[9], s[10], s[11]))

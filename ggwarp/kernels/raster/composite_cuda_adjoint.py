@@ -15,6 +15,7 @@ from ggwarp.kernels.block import (
     from_other_half,
     goes_on,
     load4,
+    load16,
     lowest_bit,
     put_float,
     put_int,
@@ -22,6 +23,7 @@ from ggwarp.kernels.block import (
     short_exp,
     short_ratio,
     store4,
+    store16,
     sync_block,
     sync_warp,
     vote,
@@ -35,7 +37,6 @@ from ggwarp.kernels.raster.composite_cuda import (
     patches_met,
     pixel_column,
     pixel_row,
-    splat_on_tile,
 )
 from ggwarp.kernels.raster.composite_cuda_sums import (
     GROUP,
@@ -48,6 +49,7 @@ from ggwarp.kernels.raster.composite_cuda_sums import (
 from ggwarp.kernels.raster.composite_patches import (
     ALPHA_MAX,
     TRANSMITTANCE_MIN,
+    on_tile,
     shape_gradients,
     vec8,
 )
@@ -99,9 +101,7 @@ def _make_adjoint(channels: int):
         member = lane & 31
         tile_y = tile / tiles_x
         tile_x = tile - tile_y * tiles_x
-        quarters = wp.array(ptr=rows.ptr, shape=(4 * rows.shape[0],), dtype=wp.vec4)
         codes = wp.array(ptr=identities.ptr, shape=(4 * identities.shape[0],), dtype=wp.vec4)
-        row_quads = wp.array(ptr=slot_rows.ptr, shape=(4 * slot_rows.shape[0],), dtype=wp.vec4)
         code_rows = wp.array(ptr=slot_identities.ptr, shape=(4 * slot_identities.shape[0],), dtype=wp.vec4)
         splats = wp.tile_empty(shape=SPLAT_QUADS, dtype=wp.vec4, storage="shared")
         gaussians = wp.tile_empty(shape=BLOCK, dtype=int, storage="shared")
@@ -170,7 +170,7 @@ def _make_adjoint(channels: int):
             if lane < size:
                 slot = pair_slots[begin + lane]
                 gaussian = slot_gaussians[slot]
-                s = splat_on_tile(quarters, gaussian, tile_x, tile_y)
+                s = on_tile(load16(rows, gaussian), tile_x, tile_y)
                 put_quad(splats, lane, wp.vec4(s[0], s[1], s[2], s[14]))
                 put_quad(splats, BLOCK | lane, wp.vec4(s[4], s[5], s[6], s[7]))
                 put_quad(splats, 2 * BLOCK | lane, wp.vec4(s[8], s[9], s[10], s[11]))
@@ -293,9 +293,7 @@ def _make_adjoint(channels: int):
                         vec8(s0[0], s0[1], s0[2], s0[3], s1[0], s1[1], s1[2], 0.0),
                         vec8(s2[0], s2[1], s2[2], s2[3], s3[0], s3[1], 0.0, 0.0),
                     )  # fmt: skip
-                    for c in range(4):
-                        quad = wp.vec4(found[4 * c], found[4 * c + 1], found[4 * c + 2], found[4 * c + 3])
-                        store4(row_quads, 4 * slots[k] + c, quad)
+                    store16(slot_rows, slots[k], found)
                 base += 32
             # Also the barrier before shared memory is written again.
             clear = wp.tile_sum(wp.tile(wp.where(T >= TRANSMITTANCE_MIN, 1, 0)))
@@ -303,9 +301,9 @@ def _make_adjoint(channels: int):
             begin += size
         for pair in range(begin + lane, pairs[1], BLOCK):
             slot = pair_slots[pair]
-            slot_rows[slot] = vec16()
+            store16(slot_rows, slot, vec16())
             if wp.static(with_identity):
-                slot_identities[slot] = vec16()
+                store16(slot_identities, slot, vec16())
 
     return adjoint
 

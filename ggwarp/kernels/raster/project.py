@@ -18,6 +18,7 @@ from typing import Any
 
 import warp as wp
 
+from ggwarp.kernels.block import load16, store16
 from ggwarp.kernels.camera import CameraIntrinsics
 from ggwarp.kernels.math import (
     quat_to_matrix,
@@ -221,7 +222,7 @@ def _project(
     check = norm2 + u + v + conic[0] + conic[1] + conic[2] + xx + yy + slope[0] + slope[1]
     check += colour[0] + colour[1] + colour[2]
     if identities:
-        o = identities[i]
+        o = load16(identities, i)
         check += wp.dot(o, o)
     if not (wp.isfinite(check) and norm2 > 0.0):
         return
@@ -233,7 +234,7 @@ def _project(
         return
     tile_rects[i] = wp.vec4i(x0, y0, x1, y1)
     depths[i] = p[2]
-    rows[i] = vec16(
+    row = vec16(
         conic[0], conic[1], conic[2], opacity,
         u, v, slope[0], slope[1],
         wp.max(0.5 + SH_C0 * colour[0], 0.0),
@@ -242,6 +243,7 @@ def _project(
         p[2],
         extent_x, extent_y, log_opacity, 0.0,
     )  # fmt: skip
+    store16(rows, i, row)
 
 
 def project(

@@ -11,6 +11,7 @@ from itertools import pairwise
 
 import warp as wp
 
+from ggwarp.kernels.block import load16, store16
 from ggwarp.kernels.camera import CameraIntrinsics
 from ggwarp.kernels.math import (
     quat_to_matrix,
@@ -111,7 +112,7 @@ def _project_adjoint(
     end = wp.clamp(slot_offsets[rank + 1], begin, slot_rows.shape[0])
     d_row = vec16()
     for slot in range(begin, end):
-        d_row += slot_rows[slot]
+        d_row += load16(slot_rows, slot)
     d_conic = wp.vec4(d_row[0], d_row[1], d_row[2], d_row[3])
     d_uv = wp.vec2(d_row[4], d_row[5])
     d_slope = wp.vec2(d_row[6], d_row[7])
@@ -126,8 +127,8 @@ def _project_adjoint(
     if d_identities:
         d_o = vec16()
         for slot in range(begin, end):
-            d_o += slot_identities[slot]
-        d_identities[i] = d_o
+            d_o += load16(slot_identities, slot)
+        store16(d_identities, i, d_o)
     if d_means:
         colour = colours[i]
         d_colours[i] = wp.vec3(
