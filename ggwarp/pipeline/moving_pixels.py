@@ -26,7 +26,9 @@ Bools = NDArray[np.bool_]
 _RECENT = 8
 """Views that vote on each other: what stands still for longer is furniture."""
 _STRIDE = 2
-"""Every second pixel votes for its neighbours, too."""
+"""Every second pixel of a row and column votes, for its neighbours, too..."""
+_VOTES = 25_000
+"""... and of a large picture fewer, about so many in all: what moves is no smaller than in a small one."""
 _TOLERANCE = 0.05
 """Surfaces whose depths differ by less than this share may be one: three standard deviations of a Kinect at
 4 m (Nguyen et al., 2012), and a pose that is a little off."""
@@ -39,7 +41,7 @@ _NEIGHBOURS = np.ones((3, 3), np.uint8)
 @state_value
 @dataclass
 class _Voter:
-    """A recent view: its number, pose, depth at every second pixel, and the votes on each."""
+    """A recent view: its number, pose, depth at the pixels that vote, and the votes on each."""
 
     number: int
     T_wc: Float64
@@ -137,8 +139,9 @@ class FreeSpace(Stateful):
 def _voter(camera: Camera, number: int, depth: Float32, T_wc: Float64) -> _Voter:
     depth = np.where(np.isfinite(depth), depth, np.float32(0))
     h, w = depth.shape
-    rows, columns = np.mgrid[0:h:_STRIDE, 0:w:_STRIDE]
-    few = np.ascontiguousarray(depth[::_STRIDE, ::_STRIDE])
+    stride = _stride(h, w)
+    rows, columns = np.mgrid[0:h:stride, 0:w:stride]
+    few = np.ascontiguousarray(depth[::stride, ::stride])
     # The nearest of the neighbours: 0, no evidence, where any has no depth.
     nearest = np.asarray(cv2.erode(few, _NEIGHBOURS), np.float32)
     points = camera.back_project(columns, rows, few).astype(np.float32)
@@ -151,15 +154,20 @@ def _vote(camera: Camera, subject: _Voter, witness: _Voter) -> None:
     T = (se3.inverse(witness.T_wc) @ subject.T_wc).astype(np.float32)
     points = subject.points @ T[:3, :3].T + T[:3, 3]
     rows, columns, inside = camera.pixels_of(points)
-    rows, columns = rows // _STRIDE, columns // _STRIDE
+    stride = _stride(camera.height, camera.width)
+    rows, columns = rows // stride, columns // stride
     known = inside & (subject.depth > 0.0)
     z = points[..., 2]
     subject.through += known & (witness.nearest[rows, columns] > z * (1.0 + _TOLERANCE))
     subject.in_place += known & (np.abs(witness.depth[rows, columns] - z) < _TOLERANCE * z)
 
 
+def _stride(height: int, width: int) -> int:
+    return max(_STRIDE, round((height * width / _VOTES) ** 0.5))
+
+
 def _whole(moved: Bools, shape: tuple[int, ...]) -> Bools:
-    """Return the mask of every second pixel [h, w] at full ``shape``, without specks and with a rim."""
+    """Return the mask of the pixels that vote [h, w] at full ``shape``, without specks and with a rim."""
     if not moved.any():
         return np.zeros(shape, bool)
     solid = cv2.morphologyEx(moved.astype(np.uint8), cv2.MORPH_OPEN, _NEIGHBOURS)

@@ -18,9 +18,9 @@ from ggwarp.types import Frame
 OFFICE = SyntheticOffice(scale=0.15)
 
 
-def _walked_through(kinect: bool) -> tuple[list[Frame], int, dict[int, np.ndarray]]:
+def _walked_through(kinect: bool, scale: float = 0.25) -> tuple[list[Frame], int, dict[int, np.ndarray]]:
     """Keyframes of the apartment while someone crosses the view, that person's id, and the masks found."""
-    apartment = SyntheticApartment(scale=0.25, person=True, kinect=kinect)
+    apartment = SyntheticApartment(scale=scale, person=True, kinect=kinect)
     frames = [apartment[i] for i in range(0, 64, 4)]
     moving, masks = MovingPixels(apartment.camera), {}
     for number, frame in enumerate(frames):
@@ -28,9 +28,9 @@ def _walked_through(kinect: bool) -> tuple[list[Frame], int, dict[int, np.ndarra
     return frames, len(apartment.class_names), masks
 
 
-@pytest.mark.parametrize("kinect", [False, True])
-def test_who_walks_through_is_found(kinect):
-    frames, person, masks = _walked_through(kinect)
+@pytest.mark.parametrize(("kinect", "scale"), [(False, 0.25), (True, 0.25), (False, 1.0)])
+def test_who_walks_through_is_found(kinect, scale):
+    frames, person, masks = _walked_through(kinect, scale)
     found = hidden = wrong = measured = 0
     for number, frame in enumerate(frames):
         there = frame.depth > 0

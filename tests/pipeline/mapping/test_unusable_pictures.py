@@ -55,6 +55,15 @@ def test_a_picture_of_something_else_is_of_no_use(rng: np.random.Generator):
     assert different_share(frame, view) == 0.0 and different_share(dark, view) < 0.05
 
 
+def test_large_pictures_are_judged_as_small_ones():
+    large = SyntheticOffice(scale=0.5)[0]
+    white = np.minimum(255, large.rgb.astype(int) + 190).astype(np.uint8)
+    rows = np.arange(large.rgb.shape[0])[:, None, None]
+    for part, out in ((0.3, False), (0.9, True)):
+        picture = replace(large, rgb=np.where(rows < part * len(rows), white, large.rgb))
+        assert bool(unusable(picture, _view(large))) == out
+
+
 def test_a_map_that_explains_nothing_contradicts_nothing():
     frame = OFFICE[0]
     view, white = _view(frame), replace(frame, rgb=np.full_like(frame.rgb, 255))
