@@ -9,7 +9,10 @@ import pytest
 
 from ggwarp.datasets.built_in.synthetic import SyntheticOffice
 from ggwarp.geometry import se3
+from ggwarp.pipeline.loops.features import FeatureExtractor
 from ggwarp.pipeline.loops.loop_closer import LoopCloser
+from ggwarp.pipeline.loops.places import Place
+from ggwarp.pipeline.tracking.relocalisation import SmallViews
 from ggwarp.types import FramePoints, TrackResult, Verdict
 
 pytest.importorskip("gtsam", reason="no wheels for this Python")
@@ -37,7 +40,7 @@ def tracked(T_wc, depth, verdict=Verdict.CONVERGED, information=None):
 
 
 def walk(frames, drift, closer=None, order=WALK):
-    """Return the closures, and true and estimated poses at the end."""
+    """Return the closures, and true and estimated poses at the end; the first pose is the true one."""
     closer = closer or made()
     closures, true, estimated = [], [], []
     T = frames[order[0]].T_wc
@@ -128,3 +131,27 @@ def test_a_frame_that_can_slide_is_a_place_all_the_same(frames, information):
     for step, i in enumerate(WALK[:3]):
         result = dataclasses.replace(tracked(frames[i].T_wc, 2.0), information=information)
         assert closer.observe(dataclasses.replace(frames[i], index=step, T_wc=None), result) is None
+
+
+def test_views_of_an_earlier_map_take_the_drift_away_and_stay(frames):
+    """The camera goes away from where it began, to where another run has been."""
+    extractor, pictures = FeatureExtractor(OFFICE.camera, OFFICE.camera), SmallViews(OFFICE.camera)
+    seen = range(45, -1, -5)
+    places = [
+        Place(-1 - i, frames[i].T_wc, 2.0, extractor.extract(frames[i]), pictures.view(frames[i]))
+        for i in seen
+    ]
+    outward = WALK[: len(WALK) // 2]
+    alone, true, estimated = walk(frames, DRIFT, order=outward)
+    assert not alone, "no place is seen twice"
+    drift = errors(true, estimated)[-1]
+    closer = made()
+    closer.adopt(places)
+    closures, true, estimated = walk(frames, DRIFT, closer, outward)
+    assert closures and all(c.seen_before < 0 <= c.frame for c in closures)
+    assert drift > 0.07 and errors(true, estimated)[-1] < 0.4 * drift
+    for closure in closures:
+        still = closure.correction.at([place.index for place in places])
+        np.testing.assert_array_equal(still, np.tile(np.eye(4), (len(places), 1, 1)))
+    for place, i in zip(places, seen, strict=True):
+        np.testing.assert_allclose(place.T_wc, frames[i].T_wc, atol=1e-9)

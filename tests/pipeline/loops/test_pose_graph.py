@@ -88,3 +88,12 @@ def test_only_information_that_fixes_all_of_a_motion_has_a_covariance():
     slides = np.diag([0.0, 2.0, 3.0, 1.0, 1.0, 1.0])
     for bad in (slides, slides + 1e-13, -np.eye(6), np.zeros((6, 6)), np.full((6, 6), np.nan)):
         assert not is_positive(bad)
+
+
+def test_poses_that_are_fixed_pull_the_others():
+    truth = circle()
+    wrong = truth.copy()
+    wrong[2:] = se3.se3_exp([0.1, 0, 0, 0, 0, 0]) @ wrong[2:]
+    motions = [motion(truth, k, k + 1) for k in range(1, N - 1)]  # nothing links the first two
+    solved = optimise_poses(wrong, motions, fixed=2)
+    np.testing.assert_allclose(solved, truth, atol=1e-3)

@@ -75,3 +75,10 @@ def test_a_run_says_it_of_every_frame():
     reports = [slam.step(OFFICE[i]) for i in range(6)]
     stds = [r.position_std_cm for r in reports]
     assert stds[0] == 0.0 and all(0.0 < std < 1.0 for std in stds[1:])
+
+
+def test_it_begins_with_the_first_frame_that_is_not_lost():
+    known = PoseUncertainty()
+    lost = TrackResult(moved(7.0), Verdict.LOST)
+    assert np.isnan(known.position_std(0, lost, is_keyframe=False))
+    assert known.position_std(1, result(np.eye(4), None), is_keyframe=True) == 0.0

@@ -61,3 +61,18 @@ def test_a_new_keyframe_starts_a_new_round(rng: np.random.Generator) -> None:
     sampler.next()
     sampler.add()
     assert sorted(sampler.next() for _ in range(3)) == [0, 1, 2]
+
+
+def test_views_of_an_earlier_map_are_of_the_past(rng: np.random.Generator) -> None:
+    random = RandomSampler(rng)
+    for _ in range(4):
+        random.add_earlier()
+    random.add()
+    assert random.next() == 4 and {random.next() for _ in range(100)} == set(range(5))
+    window = sampler_along_a_corridor(rng, 0)
+    for _ in range(4):
+        window.add_earlier()
+    window.add()
+    assert window.window == [4]
+    drawn = [window.next() for _ in range(3)]
+    assert 4 in drawn and len({*drawn} & {0, 1, 2, 3}) == 2
