@@ -51,7 +51,7 @@ def build_system(
         size, objects = len(earlier.gaussians), len(earlier.objects)
         display.note(f"beginning in the map of {earlier.folder}: {size} Gaussians, {objects} objects")
         if objects and not config.slam.use_identity:
-            display.warn(f"--no-use-identity: the objects of {earlier.folder} are left behind")
+            display.warn(f"objects are not learnt: those of {earlier.folder} are left behind")
     try:
         return _slam(config, reader, budget, folder, earlier)
     except EmptyMapError as error:

@@ -13,14 +13,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from ggwarp.io.guarded import FileError
 from ggwarp.map.gaussians import Gaussians
 from ggwarp.map.renderer import Renderer
 from ggwarp.pipeline.loops.features import FeatureExtractor
 from ggwarp.pipeline.loops.localisation import Localiser, frame_of, view_index
-from ggwarp.pipeline.loops.places import Place
+from ggwarp.pipeline.loops.places import Place, far_enough
 from ggwarp.pipeline.loops.tracking_side import TrackingLoops
 from ggwarp.pipeline.mapping.mapper import Mapper
 from ggwarp.pipeline.slam_config import SlamConfig
@@ -33,24 +32,12 @@ from ggwarp.results.saved_run import SavedRun
 from ggwarp.runtime.state import FrameSource
 from ggwarp.types import Float32, Float64, Frame, Rendered
 
-_APART, _APART_TURN = 0.15, 0.25
-"""The map is looked at again from where the camera is farther from other views than this share of the median
-depth, or this many radians: neighbours share three quarters of what they see."""
-
 _LEAST_SHOWN = 0.2
 """A view is of use where the map shows surface in so much of it."""
 
 
 class EmptyMapError(ValueError):
     """An earlier run's map shows nothing from where its camera was: one line."""
-
-
-@dataclass(frozen=True)
-class _View:
-    frame: Frame
-    rendered: Rendered
-    T_wc: Float64
-    depth: float
 
 
 @dataclass(frozen=True)
@@ -79,23 +66,19 @@ def enter_map(
     mapper.map.append(_entering(run, mapper))
     places: list[Place] = []
     views: dict[int, Frame] = {}
-    depths: list[Float32] = []
-    extractor, pictures = FeatureExtractor(*cameras), SmallViews(sensor_camera)
-    for view in _views(run, mapper):
-        frame, T_wc = view.frame, view.T_wc
-        features = extractor.extract(frame)
-        places.append(Place(frame.index, T_wc, view.depth, features, pictures.view(frame)))
+    shown: list[tuple[Float32, Float64]] = []
+    for place, frame, rendered in _views(run, mapper, cameras):
+        mapper.rehearse(frame, place.T_wc, rendered)
+        if isinstance(parts.tracker, RemembersViews):
+            parts.tracker.remember(frame, place.T_wc)
+        places.append(place)
         views[frame.index] = frame
         assert frame.depth is not None, "of a render"
-        depths.append(frame.depth)
-        mapper.rehearse(frame, T_wc, view.rendered)
-        if isinstance(parts.tracker, RemembersViews):
-            parts.tracker.remember(frame, T_wc)
+        shown.append((frame.depth, place.T_wc))
     if not places:
         raise EmptyMapError(f"{run.folder}: its map shows nothing from where its camera was")
     tracked = saved_points(run)
     if tracked is None:
-        shown = zip(depths, (place.T_wc for place in places), strict=True)
         spacing = parts.points.distance
         tracked = surface_points(run.gaussians, shown, camera, config.gicp, spacing=spacing, device=device)
     parts.points.add(tracked, np.eye(4), places[0].index)
@@ -127,27 +110,26 @@ def _entering(run: SavedRun, mapper: Mapper) -> Gaussians:
     return gaussians
 
 
-def _views(run: SavedRun, mapper: Mapper) -> Iterator[_View]:
+def _views(
+    run: SavedRun, mapper: Mapper, cameras: tuple[Camera, Camera]
+) -> Iterator[tuple[Place, Frame, Rendered]]:
     """Yield what the map shows from where its camera was, all over, the last poses first."""
-    known: list[_View] = []
+    extractor, pictures = FeatureExtractor(*cameras), SmallViews(cameras[1])
+    known: list[Place] = []
     for row, number in reversed(list(enumerate(_frame_numbers(run)))):
         T_wc = run.poses[row]
-        if any(_near(view, T_wc) for view in known):
+        if not all(far_enough(place, T_wc) for place in known):
             continue
         rendered = mapper.render(T_wc)
         frame = frame_of(rendered, view_index(number))
-        assert frame.depth is not None
-        shown = frame.depth > 0.0
-        if np.mean(shown) < _LEAST_SHOWN:
+        assert frame.depth is not None, "of a render"
+        there = frame.depth > 0.0
+        if np.mean(there) < _LEAST_SHOWN:
             continue
-        known.append(view := _View(frame, rendered, T_wc, float(np.median(frame.depth[shown]))))
-        yield view
-
-
-def _near(view: _View, T_wc: Float64) -> bool:
-    motion = se3.inverse(view.T_wc) @ T_wc
-    turn = np.arccos(np.clip((np.trace(motion[:3, :3]) - 1.0) / 2.0, -1.0, 1.0))
-    return bool(np.linalg.norm(motion[:3, 3]) < _APART * view.depth and turn < _APART_TURN)
+        depth = float(np.median(frame.depth[there]))
+        place = Place(frame.index, T_wc, depth, extractor.extract(frame), pictures.view(frame))
+        known.append(place)
+        yield place, frame, rendered
 
 
 def _frame_numbers(run: SavedRun) -> list[int]:
