@@ -55,6 +55,7 @@ SCRATCH = {
     "Aligner._rendered",
     "Aligner._observed",
     "Aligner._depth_noise",
+    "Aligner._folded",
     "Aligner._sums",
     "Aligner._system",
     "Descent._pose_moments",
