@@ -87,9 +87,11 @@ def test_usage_is_read_with_shared_memory_of_both_kinds():
   REG:56 STACK:8 SHARED:2096 LOCAL:0 CONSTANT[0]:1072 TEXTURE:0 SURFACE:0 SAMPLER:0
 """
     shared = {"composite_cuda_4_0123abcd_cuda_kernel_forward_smem_bytes": 90000}
-    (row,) = resources._usage("raster.some", usage, shared, 90)
+    (row,) = resources._usage("raster.some", usage, shared, 90, 256)
     assert row["kernel"] == "composite_cuda_4" and (row["registers"], row["stack B"]) == (56, 8)
     assert row["shared B"] == 92096 and row["blocks"] == 2, "the memory decides"
+    (row,) = resources._usage("raster.some", usage, {}, 90, 64)
+    assert row["blocks"] == 18, "registers decide"
 
 
 def test_without_the_tools_the_remedy_is_said(monkeypatch, capsys):

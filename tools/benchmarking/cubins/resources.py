@@ -27,8 +27,8 @@ from ggwarp.runtime import loading
 KERNELS, SPLATS = "kernels", "instructions a splat costs a warp"
 
 _KERNELS_NOTE = (
-    "registers and stack a thread (stack: arrays indexed at run time, and spills), shared memory a block, as "
-    "compiled; blocks: of 256 threads on a multiprocessor at once, as these three allow"
+    "registers and stack a thread (stack: arrays indexed at run time, and spills), shared memory and threads "
+    "a block, as compiled; blocks: on a multiprocessor at once, as these four allow"
 )
 _SPLATS_NOTE = (
     "of the loop that compares ln alpha with ln 1/255, for one splat that a warp looks at: the shortest "
@@ -43,7 +43,10 @@ _TOOLS = ("cuobjdump", "nvdisasm")
 _REMEDY = "pip install nvidia-cuda-cuobjdump nvidia-cuda-nvdisasm, or put a CUDA toolkit's bin on PATH"
 _USAGE = re.compile(r"Function (\w+):\s*\n\s*REG:(\d+) STACK:(\d+) SHARED:(\d+)")
 _NAME = re.compile(r"_?(\w+?)_[0-9a-f]{8}_cuda_kernel_forward")
-_BLOCK, _SM_SHARED, _SM_REGISTERS, _SM_THREADS, _RESERVED = 256, {80: 164, 90: 228}, 65536, 2048, 1024
+_SM_SHARED = {80: 164, 90: 228}
+"""Shared memory of a multiprocessor by architecture, KiB; another's is taken to be 100."""
+
+_SM_REGISTERS, _SM_THREADS, _SM_BLOCKS, _RESERVED = 65536, 2048, 32, 1024
 _WARPS = 8
 _GROUP = 16
 
@@ -69,9 +72,9 @@ def run(options: ResourcesOptions) -> Record:
     kernels: list[Row] = []
     splats: list[Row] = []
     with tempfile.TemporaryDirectory() as folder:
-        for module, cubin in _compiled(options.arch, Path(folder)):
+        for module, threads, cubin in _compiled(options.arch, Path(folder)):
             shared = json.loads(cubin.with_name(cubin.name.split(".sm")[0] + ".meta").read_text())
-            kernels += _usage(module, _call(tools, "-res-usage", cubin), shared, options.arch)
+            kernels += _usage(module, _call(tools, "-res-usage", cubin), shared, options.arch, threads)
             if "composite" in module:
                 splats += _splat_rows(_call(tools, "-sass", cubin))
     record.sections.append(Section(KERNELS, kernels, _KERNELS_NOTE))
@@ -107,8 +110,8 @@ def _call(cuobjdump: str, what: str, cubin: Path) -> str:
     return done.stdout
 
 
-def _compiled(arch: int, folder: Path) -> Iterator[tuple[str, Path]]:
-    """Yield the name and the binary of every module that a GPU runs.
+def _compiled(arch: int, folder: Path) -> Iterator[tuple[str, int, Path]]:
+    """Yield the name, the threads of a block and the binary of every module that a GPU runs.
 
     Raises:
         BenchmarkError: the compiler does not know the architecture.
@@ -119,19 +122,20 @@ def _compiled(arch: int, folder: Path) -> Iterator[tuple[str, Path]]:
         if loading.ONE_DEVICE.get(m.name.removeprefix("ggwarp.kernels.")) != "cpu"
     ]
 
-    def build(module: Any) -> tuple[str, Path]:
+    def build(module: Any) -> tuple[str, int, Path]:
         name = module.name.removeprefix("ggwarp.kernels.")
         try:
             files = wp.compile_aot_module(module, arch=arch, module_dir=folder / name, use_ptx=False)
         except Exception as error:
             raise BenchmarkError(f"--arch {arch}: {error}; give a compute capability such as 90") from error
-        return name, next(Path(f) for f in files if str(f).endswith(".cubin"))
+        cubin = next(Path(f) for f in files if str(f).endswith(".cubin"))
+        return name, module.options["block_dim"], cubin
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         yield from pool.map(build, modules)
 
 
-def _usage(module: str, text: str, shared: dict[str, int], arch: int) -> list[Row]:
+def _usage(module: str, text: str, shared: dict[str, int], arch: int, threads: int) -> list[Row]:
     """Return a row a kernel of a module."""
     rows = []
     for function, registers, stack, static in _USAGE.findall(text):
@@ -143,17 +147,18 @@ def _usage(module: str, text: str, shared: dict[str, int], arch: int) -> list[Ro
                 "registers": int(registers),
                 "stack B": int(stack),
                 "shared B": memory,
-                "blocks": _blocks(int(registers), memory, arch),
+                "threads": threads,
+                "blocks": _blocks(int(registers), memory, arch, threads),
             }
         )
     return sorted(rows, key=lambda row: row["kernel"])
 
 
-def _blocks(registers: int, shared: int, arch: int) -> int:
-    """Return how many blocks of 256 threads a multiprocessor holds at once."""
-    by_registers = _SM_REGISTERS // (-(-registers // 8) * 8 * _BLOCK)
+def _blocks(registers: int, shared: int, arch: int, threads: int) -> int:
+    """Return how many blocks a multiprocessor holds at once."""
+    by_registers = _SM_REGISTERS // (-(-registers // 8) * 8 * threads)
     by_memory = 1024 * _SM_SHARED.get(arch, 100) // (shared + _RESERVED)
-    return min(by_registers, by_memory, _SM_THREADS // _BLOCK)
+    return min(by_registers, by_memory, _SM_THREADS // threads, _SM_BLOCKS)
 
 
 def _plain(function: str) -> str:
