@@ -1,10 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every kernel module that a GPU runs compiles for those in use; neither a GPU nor a driver is needed."""
 
+import json
+
 import pytest
 import warp as wp
 
 from ggwarp.runtime import loading
+
+MOST_SHARED = 99 * 1024 - 2304
+"""Shared memory of a GeForce's block (compute capability 8.6 to 12.0), less what Warp takes itself."""
 
 MODULES = loading.all_kernel_modules()
 
@@ -28,3 +33,6 @@ def test_modules_are_found():
 def test_compiles_for_cuda(module, arch, tmp_path):
     artefacts = wp.compile_aot_module(module, arch=arch, module_dir=tmp_path)
     assert artefacts and all(path.stat().st_size > 0 for path in artefacts)
+    (meta,) = tmp_path.glob("*.meta")
+    shared = json.loads(meta.read_text())
+    assert all(size <= MOST_SHARED for name, size in shared.items() if name.endswith("_smem_bytes"))

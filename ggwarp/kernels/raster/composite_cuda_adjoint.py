@@ -65,10 +65,6 @@ WARP_QUADS = 2 * GROUP * ROW_QUADS
 WALK_QUADS = WARPS * WARP_QUADS
 PIXEL_QUADS = 2 * WARPS * HALF_QUADS
 
-CHANNEL_QUADS = PIXEL_QUADS + 1
-"""From four channels of the identities' gradients to the next four: one apart in banks."""
-
-CODE_QUADS = 4 * CHANNEL_QUADS
 SUM_QUADS = 128
 PART_QUADS = WARPS * SUM_QUADS
 
@@ -102,6 +98,9 @@ def _make_adjoint(channels: int):
         tile_y = tile / tiles_x
         tile_x = tile - tile_y * tiles_x
         codes = wp.array(ptr=identities.ptr, shape=(4 * identities.shape[0],), dtype=wp.vec4)
+        image_quads = wp.array(
+            ptr=d_image.ptr, shape=(d_image.shape[0] * d_image.shape[1] * tiles_x * 4,), dtype=wp.vec4
+        )
         code_rows = wp.array(ptr=slot_identities.ptr, shape=(4 * slot_identities.shape[0],), dtype=wp.vec4)
         splats = wp.tile_empty(shape=SPLAT_QUADS, dtype=wp.vec4, storage="shared")
         gaussians = wp.tile_empty(shape=BLOCK, dtype=int, storage="shared")
@@ -128,6 +127,11 @@ def _make_adjoint(channels: int):
         # cancellation.
         x0 = float((warp & 1) * 8) - 7.5
         y0 = float((warp >> 1) * 4 + 2 * half) - 7.5
+        # Of quads of d_image: from a channel to the next; the patch's first, in the first of the identity's.
+        to_channel = d_image.shape[1] * tiles_x * 4
+        to_patch = (
+            4 * to_channel + (tile_y * 16 + (warp >> 1) * 4) * tiles_x * 4 + tile_x * 4 + (warp & 1) * 2
+        )
         sampled = first_band(tile_x, tile_y, stride, phase)
         # The same for a whole warp.
         looked_at = in_sample(pixel_row(lane) >> 2, sampled, stride)
@@ -139,7 +143,6 @@ def _make_adjoint(channels: int):
             rest += g[c] * image[c, row, column]
         put_quad(gradients, to_pixel, g)
         if wp.static(with_identity):
-            code_gradients = wp.tile_empty(shape=CODE_QUADS, dtype=wp.vec4, storage="shared")
             code_parts = wp.tile_empty(shape=PART_QUADS, dtype=wp.vec4, storage="shared")
             g0 = wp.vec4()
             g1 = wp.vec4()
@@ -156,10 +159,6 @@ def _make_adjoint(channels: int):
                         rest += g1[c] * image[8 + c, row, column]
                         rest += g2[c] * image[12 + c, row, column]
                         rest += g3[c] * image[16 + c, row, column]
-            put_quad(code_gradients, to_pixel, g0)
-            put_quad(code_gradients, CHANNEL_QUADS + to_pixel, g1)
-            put_quad(code_gradients, 2 * CHANNEL_QUADS + to_pixel, g2)
-            put_quad(code_gradients, 3 * CHANNEL_QUADS + to_pixel, g3)
         T = float(1.0)
         pairs = tile_ranges[tile]
         begin = pairs[0]
@@ -238,9 +237,11 @@ def _make_adjoint(channels: int):
                             channels = member >> 3
                             a, b = code_sums(
                                 walked,
-                                code_gradients,
                                 warp * WARP_QUADS + (member & 7) * ROW_QUADS,
-                                channels * CHANNEL_QUADS + 2 * warp * HALF_QUADS,
+                                image_quads,
+                                to_patch + channels * 4 * to_channel,
+                                tiles_x * 4,
+                                to_channel,
                             )
                             to_code = warp * SUM_QUADS + 32 * channels
                             if (member & 7) < count:

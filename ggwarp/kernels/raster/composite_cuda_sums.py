@@ -8,6 +8,7 @@ Loops over pixels are unrolled.
 
 import warp as wp
 
+from ggwarp.kernels.block import load4
 from ggwarp.kernels.raster.composite_patches import DEPTH
 
 wp.set_module_options({"enable_backward": False})
@@ -84,12 +85,19 @@ def moments(walked: wp.tile[wp.vec4], to_row: int, x0: float, y0: float):
 
 
 @wp.func
-def code_sums(walked: wp.tile[wp.vec4], gradients: wp.tile[wp.vec4], to_row: int, to_patch: int):
+def code_sums(
+    walked: wp.tile[wp.vec4],
+    to_row: int,
+    d_image: wp.array[wp.vec4],
+    at: int,
+    to_next_row: int,
+    to_next_channel: int,
+):
     """Two splats' weights times four channels of the identities' gradients, over a patch.
 
     Args:
         to_row: of the first splat's weights; the second's are half a group on.
-        to_patch: of the channels at the patch's first pixel.
+        d_image: four pixels of a row a quad. at: the patch's first, in the first channel.
     """
     a = wp.vec4()
     b = wp.vec4()
@@ -97,7 +105,7 @@ def code_sums(walked: wp.tile[wp.vec4], gradients: wp.tile[wp.vec4], to_row: int
         v = walked[to_row + c]
         w = walked[to_row + HALF_GROUP + c]
         for i in range(4):
-            g = gradients[to_patch + (c >> 2) * HALF_QUADS + 4 * (c & 3) + i]
-            a += g * v[i]
-            b += g * w[i]
+            g = load4(d_image, at + (c >> 1) * to_next_row + (c & 1) + i * to_next_channel)
+            a[i] += wp.dot(g, v)
+            b[i] += wp.dot(g, w)
     return a, b
