@@ -20,11 +20,13 @@ from ggwarp.map.renderer import Renderer
 from ggwarp.pipeline.loops.features import FeatureExtractor
 from ggwarp.pipeline.loops.localisation import Localiser, frame_of, view_index
 from ggwarp.pipeline.loops.places import Place, far_enough
+from ggwarp.pipeline.loops.surface_registration import Surface
 from ggwarp.pipeline.loops.tracking_side import TrackingLoops
 from ggwarp.pipeline.mapping.mapper import Mapper
 from ggwarp.pipeline.slam_config import SlamConfig
 from ggwarp.pipeline.surface_points import saved_points, surface_points
 from ggwarp.pipeline.tracking.point_map import TrackableMap
+from ggwarp.pipeline.tracking.preprocess import ObservationConfig
 from ggwarp.pipeline.tracking.relocalisation import SmallViews
 from ggwarp.pipeline.tracking.tracker import RemembersViews, Tracker
 from ggwarp.results.frame_table import read_frames
@@ -67,7 +69,7 @@ def enter_map(
     places: list[Place] = []
     views: dict[int, Frame] = {}
     shown: list[tuple[Float32, Float64]] = []
-    for place, frame, rendered in _views(run, mapper, cameras):
+    for place, frame, rendered in _views(run, mapper, cameras, config.gicp):
         mapper.rehearse(frame, place.T_wc, rendered)
         if isinstance(parts.tracker, RemembersViews):
             parts.tracker.remember(frame, place.T_wc)
@@ -111,7 +113,7 @@ def _entering(run: SavedRun, mapper: Mapper) -> Gaussians:
 
 
 def _views(
-    run: SavedRun, mapper: Mapper, cameras: tuple[Camera, Camera]
+    run: SavedRun, mapper: Mapper, cameras: tuple[Camera, Camera], sampling: ObservationConfig
 ) -> Iterator[tuple[Place, Frame, Rendered]]:
     """Yield what the map shows from where its camera was, all over, the last poses first."""
     extractor, pictures = FeatureExtractor(*cameras), SmallViews(cameras[1])
@@ -127,7 +129,9 @@ def _views(
         if np.mean(there) < _LEAST_SHOWN:
             continue
         depth = float(np.median(frame.depth[there]))
-        place = Place(frame.index, T_wc, depth, extractor.extract(frame), pictures.view(frame))
+        surface = Surface.shown_by(frame.depth, cameras[0], sampling, device=mapper.map.device)
+        features, small = extractor.extract(frame), pictures.view(frame)
+        place = Place(frame.index, T_wc, depth, features, small, surface)
         known.append(place)
         yield place, frame, rendered
 

@@ -5,6 +5,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
+from ggwarp.geometry.uncertainty import semidefinite
 from ggwarp.solvers.registration import Cloud, Registrar, Registration, RegistrationStage, RegistrationTarget
 from ggwarp.types import Float64
 
@@ -29,6 +32,10 @@ stage; wider in coarse stages, in the ratio of their radii."""
 
 _LEAST_SCALE = 0.02
 """Residuals are not taken for smaller than this share of what covariances let expect."""
+
+_CORRELATION = 1.5
+"""How much larger the pose's deviation is than the 6x6 system says at the residuals' own scale: errors of
+neighbours are alike, and those of frames that see the same."""
 
 
 def register_coarse_to_fine(
@@ -67,3 +74,11 @@ def coarse_to_fine_stages(spacing: float, residual_scale: float = 1.0) -> list[R
         for radius, n in zip(coarse, coarse_iterations, strict=True)
     ]
     return [*stages, RegistrationStage(fine, fine_iterations, _TOLERANCE, min(_ROBUST_SCALE, seen))]
+
+
+def scaled_information(registration: Registration) -> Float64:
+    """Return what a registration of a frame says of the pose [6, 6], at its residuals' own scale."""
+    across, scale = registration.across, registration.residual_scale
+    if not (np.isfinite(across).all() and np.isfinite(scale)):
+        return np.zeros((6, 6))
+    return semidefinite(across) / (max(scale, _LEAST_SCALE) * _CORRELATION) ** 2

@@ -28,7 +28,7 @@ from ggwarp.pipeline.tracking.relocalisation import SmallViews
 from ggwarp.pipeline.tracking.tracker import Tracker, TrackingConfig
 from ggwarp.runtime.state import Stateful, state_value
 from ggwarp.solvers.registration import Registrar, build_target
-from ggwarp.solvers.registration_stages import RADII, register_coarse_to_fine
+from ggwarp.solvers.registration_stages import RADII, register_coarse_to_fine, scaled_information
 from ggwarp.types import Float64, Frame, MapSnapshot, Rendered, TrackResult, Verdict
 
 _ALIKE = 20
@@ -274,7 +274,7 @@ class Localiser(Stateful):
         )
         registrar = Registrar(device=self._device)
         fit = register_coarse_to_fine(registrar, seen.cloud, goal, T_start, seen.spacing)
-        return fit.T_wc, seen.information(fit)
+        return fit.T_wc, scaled_information(fit)
 
 
 def _apart(one: Float64, other: Float64) -> bool:

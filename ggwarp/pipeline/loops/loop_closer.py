@@ -2,26 +2,29 @@
 """Loop closing: keyframes that see a place again pull the trajectory, and the map with it, together.
 
 A false loop is worse than none. One that contradicts the poses as they are counts only where features agree
-in number, where the two views do not see through each other and look alike, and where another pair of
-keyframes says the same.
+in number, where the surfaces can be laid on each other there, where the two views do not see through each
+other and look alike, and where another pair of keyframes says the same.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from ggwarp.geometry.pose_correction import PoseCorrection
-from ggwarp.pipeline.loops.feature_alignment import DepthNoise, FeatureAligner
+from ggwarp.pipeline.loops.feature_alignment import DepthNoise, FeatureAligner, FeatureAlignment
 from ggwarp.pipeline.loops.features import FeatureExtractor, match_features
 from ggwarp.pipeline.loops.places import SEPARATE, Place, candidates, far_enough
 from ggwarp.pipeline.loops.pose_graph import MeasuredMotion, is_positive, optimise_poses
 from ggwarp.pipeline.loops.recognition import VisualIndex
+from ggwarp.pipeline.loops.surface_registration import Surface, SurfaceRegistration
 from ggwarp.pipeline.tracking.relocalisation import SmallViews
 from ggwarp.runtime.state import Stateful, state_value
 from ggwarp.types import Float64, Frame, TrackResult, Verdict
@@ -62,6 +65,9 @@ _AGREEMENT = 0.3
 """Two loops say the same where their corrections differ by less than this share of them."""
 
 
+Scope = Callable[[], AbstractContextManager[object]]
+"""Returns what work on the device is done in."""
+
 state_value(PoseCorrection)
 
 
@@ -94,6 +100,7 @@ class LoopCloser(Stateful):
     STATE = (
         "_looks",
         "_places",
+        "_surfaces",
         "_motions",
         "_waiting",
         "_searched",
@@ -104,7 +111,13 @@ class LoopCloser(Stateful):
     )
 
     def __init__(
-        self, camera: Camera, sensor_camera: Camera, depth_noise: DepthNoise, *, least_move: float
+        self,
+        camera: Camera,
+        sensor_camera: Camera,
+        depth_noise: DepthNoise,
+        *,
+        least_move: float,
+        device: Any,
     ) -> None:
         """Know no place yet.
 
@@ -115,6 +128,7 @@ class LoopCloser(Stateful):
         """
         self._extractor = FeatureExtractor(camera, sensor_camera)
         self._aligner = FeatureAligner(camera, depth_noise)
+        self._surfaces = SurfaceRegistration(device=device)
         self._pictures = SmallViews(sensor_camera)
         self._least_move = least_move
         self._looks = VisualIndex()
@@ -132,16 +146,19 @@ class LoopCloser(Stateful):
             self._looks.add(place.features.descriptors)
         self._fixed = len(self._places)
 
-    def observe(self, frame: Frame, result: TrackResult) -> Closure | None:
+    def observe(self, frame: Frame, result: TrackResult, scope: Scope = nullcontext) -> Closure | None:
         """Take in a tracked frame; return the loop that it closes, if it does.
 
         Poses are then those before the correction: ``correction.at([index])[0] @ T_wc`` are those after.
+
+        Args:
+            scope: of work on the device.
         """
         started = time.perf_counter()
         closure = None
         self._doubtful |= result.verdict is not Verdict.CONVERGED
         if self._is_due(frame, result):
-            self._add(frame, result)
+            self._add(frame, result, scope)
             closure = self._close(started)
             self._doubtful = False
         self.seconds += time.perf_counter() - started
@@ -154,26 +171,27 @@ class LoopCloser(Stateful):
             return True
         return result.verdict is Verdict.POOR or frame.index - self._places[-1].index >= _LONGEST
 
-    def _add(self, frame: Frame, result: TrackResult) -> None:
+    def _add(self, frame: Frame, result: TrackResult, scope: Scope) -> None:
         assert result.points is not None
         features = self._extractor.extract(frame)
         depth = float(np.median(result.points.points[:, 2]))
-        place = Place(frame.index, result.T_wc, depth, features, self._pictures.view(frame))
+        view, surface = self._pictures.view(frame), Surface.of(result.points)
+        place = Place(frame.index, result.T_wc, depth, features, view, surface)
         self._places.append(place)
         self._looks.add(features.descriptors)
         number = len(self._places) - 1
         if number:
             self._motions.append(self._tracked(number, result))
         for a in range(max(number - 2, self._fixed), number):
-            motion = self._measure(a, number, _NEIGHBOUR_INLIERS)
-            if motion is not None:
-                self._motions.append(motion)
+            found = self._aligned(a, number, _NEIGHBOUR_INLIERS)
+            if found is not None:
+                self._motions.append(_measured(a, number, found.T_ab, found.information))
         searched = self._places[self._searched]
         if number and frame.index - searched.index < _SEARCH and not far_enough(searched, result.T_wc):
             return
         self._searched = number
         for a in candidates(self._places, self._looks):
-            motion = self._measure(a, number, _INLIERS)
+            motion = self._loop(a, number, scope)
             if motion is None or not self._looks_true(motion):
                 continue
             agrees = self._displacement(motion) <= self._least_move
@@ -193,7 +211,17 @@ class LoopCloser(Stateful):
         covariance = covariance + deviation**2 * np.eye(6)
         return MeasuredMotion(b - 1, b, T_ab, covariance * (_POOR**2 if self._doubtful else 1.0))
 
-    def _measure(self, a: int, b: int, least: int) -> MeasuredMotion | None:
+    def _loop(self, a: int, b: int, scope: Scope) -> MeasuredMotion | None:
+        """Return the motion between two places by features and surfaces; None where these do not agree."""
+        found = self._aligned(a, b, _INLIERS)
+        if found is None:
+            return None
+        surfaces = self._places[a].surface, self._places[b].surface
+        with scope():
+            refined = self._surfaces.refine(*surfaces, found.T_ab, found.information)
+        return None if refined is None else _measured(a, b, *refined)
+
+    def _aligned(self, a: int, b: int, least: int) -> FeatureAlignment | None:
         """Return the motion between two places by their features; None where too few agree."""
         one, other = self._places[a].features, self._places[b].features
         matches = match_features(one, other)
@@ -203,10 +231,7 @@ class LoopCloser(Stateful):
         found = self._aligner.align(one.pixels[rows], one.points[rows], other.points[columns], seed=(a, b))
         if found is None or found.count < max(least, _INLIER_SHARE * len(matches)):
             return None
-        if not is_positive(found.information):
-            return None  # features in a line or a spot
-        covariance = np.linalg.inv(found.information) + _LOOSENESS**2 * np.eye(6)
-        return MeasuredMotion(a, b, found.T_ab, covariance)
+        return found if is_positive(found.information) else None  # features in a line or a spot
 
     def _looks_true(self, motion: MeasuredMotion) -> bool:
         """Whether the two views, so placed, neither see through each other nor look different."""
@@ -255,3 +280,7 @@ class LoopCloser(Stateful):
         difference = difference @ se3.inverse(correction)
         allowed = self._least_move + _AGREEMENT * place.displacement(correction)
         return place.displacement(difference) <= allowed
+
+
+def _measured(a: int, b: int, T_ab: Float64, information: Float64) -> MeasuredMotion:
+    return MeasuredMotion(a, b, T_ab, np.linalg.inv(information) + _LOOSENESS**2 * np.eye(6))

@@ -10,6 +10,7 @@ import numpy as np
 from ggwarp.geometry import se3
 from ggwarp.pipeline.loops.features import Features
 from ggwarp.pipeline.loops.recognition import VisualIndex
+from ggwarp.pipeline.loops.surface_registration import Surface
 from ggwarp.pipeline.tracking.relocalisation import SmallView
 from ggwarp.runtime.state import state_value
 from ggwarp.types import Float64
@@ -40,7 +41,7 @@ class Place:
     Attributes:
         index: its frame's. T_wc: [4, 4] its pose as it is now.
         depth: median of what it sees, metres.
-        features: of its picture. view: the small one.
+        features: of its picture. view: the small one. surface: its points.
     """
 
     index: int
@@ -48,6 +49,7 @@ class Place:
     depth: float
     features: Features
     view: SmallView
+    surface: Surface
 
     @property
     def centre(self) -> Float64:

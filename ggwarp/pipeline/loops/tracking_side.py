@@ -49,7 +49,9 @@ class TrackingLoops(Stateful):
         # The map takes no notice of points that move by less.
         least = points.distance
         self._closer = (
-            None if self.stay_open else LoopCloser(*cameras, config.gicp.depth_noise, least_move=least)
+            None
+            if self.stay_open
+            else LoopCloser(*cameras, config.gicp.depth_noise, least_move=least, device=points.device)
         )
 
     def adopt(self, places: Sequence[Place]) -> None:
@@ -74,7 +76,7 @@ class TrackingLoops(Stateful):
         closure, before = None, 0.0
         if self._closer is not None:
             before = self._closer.seconds
-            closure = self._closer.observe(frame, result)
+            closure = self._closer.observe(frame, result, scope)
         if closure is not None:
             [motion] = closure.correction.at([frame.index])
             assert isinstance(self._tracker, FollowsMap)

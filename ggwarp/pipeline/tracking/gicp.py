@@ -24,7 +24,7 @@ from ggwarp.solvers.registration import (
     build_target,
     match_distances2,
 )
-from ggwarp.solvers.registration_stages import RADII, REACH, register_coarse_to_fine
+from ggwarp.solvers.registration_stages import RADII, REACH, register_coarse_to_fine, scaled_information
 from ggwarp.types import Float32, Float64, Frame, FramePoints, MapSnapshot, TrackResult, Verdict, overlap_of
 
 OVERLAP_DISTANCE = 0.0316
@@ -244,7 +244,7 @@ class GicpTracker(Stateful):
     def _judge(self, found: _RegisteredPose, seen: Observation, predicted: Float64) -> tuple[Verdict, str]:
         """Take note of a registration; return what it is worth, and why."""
         fit, overlap = found.fit, found.overlap
-        self.registration, self.information = fit, seen.information(fit)
+        self.registration, self.information = fit, scaled_information(fit)
         std, jump_reason = position_std(self.information), self._jump(found, predicted)
         overlap_reason = f"overlap {overlap:.2f} with the map"
         std_reason = f"position free to slide by {std:.3f} m" if std < _FREE else "position free to slide"

@@ -75,13 +75,17 @@ class _KeyframePoints:
 
 
 class TrackableMap(Stateful):
-    """Trackable points; grows by keyframes, and changes where these are moved."""
+    """Trackable points; grows by keyframes, and changes where these are moved.
+
+    Attributes:
+        device: of the snapshots.
+    """
 
     STATE = ("_keyframes", "_version")
 
     def __init__(self, config: TrackableConfig, *, device: Any = "cpu") -> None:
         self._config = config
-        self._device = device
+        self.device = device
         self._keyframes: list[_KeyframePoints] = []
         self._snapshot: MapSnapshot | None = None
         self._version = 0
@@ -150,7 +154,7 @@ class TrackableMap(Stateful):
         if self._snapshot is None:
             arrays = [
                 wp.array(
-                    np.concatenate(rows) if rows else np.zeros((0, width)), dtype=dtype, device=self._device
+                    np.concatenate(rows) if rows else np.zeros((0, width)), dtype=dtype, device=self.device
                 )
                 for rows, width, dtype in (
                     ([k.means for k in self._keyframes], 3, wp.vec3),

@@ -11,11 +11,10 @@ import warp as wp
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
-from ggwarp.geometry.uncertainty import semidefinite
 from ggwarp.kernels.registration import back_projection, covariance, pixel_neighbours
 from ggwarp.runtime.streams import to_host
-from ggwarp.solvers.registration import Cloud, Registration
-from ggwarp.types import Float32, Float64
+from ggwarp.solvers.registration import Cloud
+from ggwarp.types import Float32
 
 SLIP = 1.0
 """Largest standard deviation along a surface, metres: how freely matched patches slide along each other."""
@@ -28,13 +27,6 @@ NEIGHBOURS = 10
 
 _APART = 4
 """Samples between two normals that are compared: their neighbourhoods share no reading."""
-
-_CORRELATION = 1.5
-"""How much larger the pose's deviation is than the 6x6 system says at the residuals' own scale: errors of
-neighbours are alike, and those of frames that see the same."""
-
-_LEAST_SCALE = 0.02
-"""Least scale of residuals that is believed, as a share of the sensor's model."""
 
 _MIN_WEIGHT = 1e-3
 """Of a reading: what is less sure is as free as ever."""
@@ -94,13 +86,6 @@ class Observation:
     @property
     def count(self) -> int:
         return self.cloud.count
-
-    def information(self, registration: Registration) -> Float64:
-        """Return what a registration of the frame says of the pose, at its residuals' own scale."""
-        across, scale = registration.across, registration.residual_scale
-        if not (np.isfinite(across).all() and np.isfinite(scale)):
-            return np.zeros((6, 6))
-        return semidefinite(across) / (max(scale, _LEAST_SCALE) * _CORRELATION) ** 2
 
 
 def observe(

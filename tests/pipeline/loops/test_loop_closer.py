@@ -12,6 +12,8 @@ from ggwarp.geometry import se3
 from ggwarp.pipeline.loops.features import FeatureExtractor
 from ggwarp.pipeline.loops.loop_closer import LoopCloser
 from ggwarp.pipeline.loops.places import Place
+from ggwarp.pipeline.loops.surface_registration import Surface
+from ggwarp.pipeline.tracking.preprocess import ObservationConfig, observe
 from ggwarp.pipeline.tracking.relocalisation import SmallViews
 from ggwarp.types import FramePoints, TrackResult, Verdict
 
@@ -30,13 +32,18 @@ def frames():
 
 
 def made():
-    return LoopCloser(OFFICE.camera, OFFICE.camera, lambda z: 0.001 + 0.002 * z * z, least_move=0.025)
+    noise = ObservationConfig().depth_noise
+    return LoopCloser(OFFICE.camera, OFFICE.camera, noise, least_move=0.025, device="cpu")
 
 
-def tracked(T_wc, depth, verdict=Verdict.CONVERGED, information=None):
-    points = np.tile(np.float32([0, 0, depth]), (3, 1))
-    seen = FramePoints(points, points, points, points[:, 0], points[:, 0])
-    return TrackResult(T_wc, verdict, points=seen, information=information)
+def points_of(frame):
+    seen = observe(frame.depth, OFFICE.camera, ObservationConfig(points=2000), device="cpu")
+    arrays = (x.numpy() for x in (seen.cloud.points, seen.quats, seen.spreads))
+    return FramePoints(*arrays, noise=seen.noise, distances2=seen.noise)
+
+
+def tracked(T_wc, frame, verdict=Verdict.CONVERGED, information=None):
+    return TrackResult(T_wc, verdict, points=points_of(frame), information=information)
 
 
 def walk(frames, drift, closer=None, order=WALK):
@@ -48,7 +55,7 @@ def walk(frames, drift, closer=None, order=WALK):
         if step:
             T = T @ se3.inverse(frames[order[step - 1]].T_wc) @ frames[i].T_wc @ drift
         frame = dataclasses.replace(frames[i], index=step, T_wc=None)
-        closure = closer.observe(frame, tracked(T, float(np.median(frame.depth[frame.depth > 0]))))
+        closure = closer.observe(frame, tracked(T, frame))
         estimated.append(T)
         true.append(frames[i].T_wc)
         if closure is not None:
@@ -93,7 +100,7 @@ def test_tracking_before_a_wall_says_nothing_along_it(frames, information):
     closer = made()
     for step, i in enumerate(WALK[:6]):
         frame = dataclasses.replace(frames[i], index=step, T_wc=None)
-        result = tracked(frames[i].T_wc, 2.0, information=information)
+        result = tracked(frames[i].T_wc, frame, information=information)
         assert closer.observe(frame, result) is None
 
 
@@ -105,7 +112,7 @@ def test_without_drift_nothing_is_moved(frames):
 def test_a_second_run_gives_the_same_bits(frames, drifted):
     """Frames that are lost or have no points in between are no places."""
     closer, frame = made(), frames[0]
-    assert closer.observe(frame, tracked(frame.T_wc, 2.0, Verdict.LOST)) is None
+    assert closer.observe(frame, tracked(frame.T_wc, frame, Verdict.LOST)) is None
     assert closer.observe(frame, TrackResult(frame.T_wc, Verdict.CONVERGED)) is None
     one, other = drifted, walk(frames, DRIFT, closer)
     assert len(one[0]) == len(other[0]) > 0
@@ -120,7 +127,7 @@ def test_one_picture_out_of_place_moves_nothing(frames):
     assert not closures
     strange = dataclasses.replace(frames[5], index=len(outward), T_wc=None)
     T = estimated[-1] @ se3.se3_exp([2.0, 0, 0, 0, 1.0, 0])
-    assert closer.observe(strange, tracked(T, 2.0)) is None
+    assert closer.observe(strange, tracked(T, strange)) is None
 
 
 @pytest.mark.parametrize(
@@ -129,18 +136,21 @@ def test_one_picture_out_of_place_moves_nothing(frames):
 def test_a_frame_that_can_slide_is_a_place_all_the_same(frames, information):
     closer = made()
     for step, i in enumerate(WALK[:3]):
-        result = dataclasses.replace(tracked(frames[i].T_wc, 2.0), information=information)
+        result = tracked(frames[i].T_wc, frames[i], information=information)
         assert closer.observe(dataclasses.replace(frames[i], index=step, T_wc=None), result) is None
 
 
 def test_views_of_an_earlier_map_take_the_drift_away_and_stay(frames):
     """The camera goes away from where it began, to where another run has been."""
     extractor, pictures = FeatureExtractor(OFFICE.camera, OFFICE.camera), SmallViews(OFFICE.camera)
+
+    def place(i):
+        frame = frames[i]
+        shown = extractor.extract(frame), pictures.view(frame), Surface.of(points_of(frame))
+        return Place(-1 - i, frame.T_wc, 2.0, *shown)
+
     seen = range(45, -1, -5)
-    places = [
-        Place(-1 - i, frames[i].T_wc, 2.0, extractor.extract(frames[i]), pictures.view(frames[i]))
-        for i in seen
-    ]
+    places = [place(i) for i in seen]
     outward = WALK[: len(WALK) // 2]
     alone, true, estimated = walk(frames, DRIFT, order=outward)
     assert not alone, "no place is seen twice"

@@ -31,7 +31,7 @@ def frames():
 def closing(monkeypatch):
     """Every run closes a loop at frame 3, which moves frames from 2 on by MOTION."""
 
-    def observe(self, frame, result):
+    def observe(self, frame, result, scope):
         if frame.index != CLOSING:
             return None
         correction = PoseCorrection((0, 1, 2), np.stack([np.eye(4), np.eye(4), MOTION]))
