@@ -4,7 +4,7 @@
     L = mean(w |e^a I + b - O|) + l mean(m |D - Z|)
 
 over pixels and colours, with w the render's opacity inside the mask, and m the pixels that are opaque and
-have a depth reading. Opacity weighs, but is not pulled at. Sums go row -> total in a fixed order.
+have a depth reading. Opacity weighs, but is not pulled at. Sums go part of a row -> total in a fixed order.
 """
 
 from typing import Any
@@ -18,6 +18,9 @@ wp.set_module_options({"enable_backward": False})
 
 _OPAQUE = wp.constant(0.05)
 """Transmittance below which a pixel's depth is compared."""
+FOLDED = 64
+"""Rows that many rows of sums are folded to before one thread adds them."""
+
 _READING = wp.constant(0.01)
 """Depth readings closer than this are none, metres."""
 
@@ -30,6 +33,7 @@ def _sign(x: float) -> float:
 @wp.kernel
 def _photometric_loss(
     offset: int,
+    pieces: int,
     image: wp.array3d[float],
     transmittance: wp.array2d[float],
     colour: wp.array3d[wp.uint8],
@@ -41,13 +45,14 @@ def _photometric_loss(
     d_image: wp.array3d[float],
     sums: wp.array2d[float],
 ):
-    row = offset + wp.tid()
+    item = offset + wp.tid()
+    row = item / pieces
     gain = wp.exp(exposure[0])
     bias = exposure[1]
     loss = float(0.0)
     by_gain = float(0.0)
     by_bias = float(0.0)
-    for column in range(colour.shape[1]):
+    for column in range(item - row * pieces, colour.shape[1], pieces):
         clear = transmittance[row, column]
         w = float(0.0)
         if mask[row, column] != wp.uint8(0):
@@ -68,9 +73,19 @@ def _photometric_loss(
                 d = depth_weight * _sign(r)
                 loss += depth_weight * wp.abs(r)
         d_image[3, row, column] = d
-    sums[row, 0] = loss
-    sums[row, 1] = by_gain
-    sums[row, 2] = by_bias
+    sums[item, 0] = loss
+    sums[item, 1] = by_gain
+    sums[item, 2] = by_bias
+
+
+@wp.kernel
+def _fold(sums: wp.array2d[float], folded: wp.array2d[float]):
+    """Row f of ``folded``: the sum of rows f, f + F, ... of ``sums``, F being the rows of ``folded``."""
+    f, k = wp.tid()
+    total = wp.float64(0.0)
+    for item in range(f, sums.shape[0], folded.shape[0]):
+        total += wp.float64(sums[item, k])
+    folded[f, k] = float(total)
 
 
 @wp.kernel
@@ -102,6 +117,11 @@ def _step_exposure(
     loss[0] = float(total[0])
 
 
+def pieces_per_row(device: Any) -> int:
+    """Return the parts of a row that are summed apart: on CUDA every 32nd pixel is one, for a warp a row."""
+    return 1 if wp.get_device(device).is_cpu else 32
+
+
 def photometric_loss(
     image: Any,
     transmittance: Any,
@@ -124,14 +144,15 @@ def photometric_loss(
         exposure: [2] float, (a, b).
         weights: of the mean colour error and of the mean depth error.
         d_image: like ``image``; its first four channels are written, inside [h, w].
-        sums: [h, 3] float, written: loss, gradients by a and b, of each row.
+        sums: [h pieces_per_row, 3] float, written: loss, gradients by a and b, of each part of a row.
     """
     h, w = colour.shape[:2]
+    pieces = pieces_per_row(device)
     launch_split(
         _photometric_loss,
-        h,
+        h * pieces,
         inputs=[
-            image, transmittance, colour, mask, depth, exposure,
+            pieces, image, transmittance, colour, mask, depth, exposure,
             weights[0] / (3.0 * h * w), weights[1] / (h * w), d_image,
         ],
         outputs=[sums],
@@ -141,16 +162,27 @@ def photometric_loss(
 
 
 def step_exposure(
-    sums: Any, *, rate: float, moments: Any, steps: Any, exposure: Any, loss: Any, device: Any
+    sums: Any,
+    *,
+    folded: Any,
+    rate: float,
+    moments: Any,
+    steps: Any,
+    exposure: Any,
+    loss: Any,
+    device: Any,
 ) -> None:
     """Take one Adam step on (a, b).
 
     Args:
-        sums: [h, 3] of :func:`photometric_loss`.
+        sums: of :func:`photometric_loss`. folded: [FOLDED, 3] float, scratch.
         moments, steps: [2, 2] float and [1] int, zeros at first.
         exposure: [2] float, updated.
         loss: [1] float, written.
     """
+    if pieces_per_row(device) > 1:
+        wp.launch(_fold, dim=folded.shape, inputs=[sums], outputs=[folded], device=device)
+        sums = folded
     wp.launch(
         _step_exposure,
         dim=1,

@@ -13,7 +13,12 @@ from numpy.typing import NDArray
 from ggwarp.geometry import se3
 from ggwarp.kernels.math import vec6
 from ggwarp.kernels.optim.pose_adam import step_pose
-from ggwarp.kernels.photometric.tracking_loss import photometric_loss, step_exposure
+from ggwarp.kernels.photometric.tracking_loss import (
+    FOLDED,
+    photometric_loss,
+    pieces_per_row,
+    step_exposure,
+)
 from ggwarp.map.renderer import Renderer
 from ggwarp.runtime.streams import to_host
 from ggwarp.types import Float64, Frame
@@ -53,7 +58,9 @@ class Descent:
         self._pose_moments = wp.zeros(2, dtype=row, device=self._device)
         self._moments = wp.zeros((2, 2), dtype=float, device=self._device)
         self._steps = wp.zeros(2, dtype=wp.int32, device=self._device)
-        self._sums = wp.empty((renderer.camera.height, 3), dtype=float, device=self._device)
+        parts = renderer.camera.height * pieces_per_row(self._device)
+        self._sums = wp.empty((parts, 3), dtype=float, device=self._device)
+        self._folded = wp.empty((FOLDED, 3), dtype=float, device=self._device)
         self._loss = wp.zeros(1, dtype=float, device=self._device)
 
     def run(
@@ -95,6 +102,7 @@ class Descent:
             )
             step_exposure(
                 self._sums,
+                folded=self._folded,
                 rate=_EXPOSURE_RATE,
                 moments=self._moments,
                 steps=self._steps[1:],

@@ -6,11 +6,19 @@ import pytest
 import torch
 import warp as wp
 
-from ggwarp.kernels.photometric.tracking_loss import photometric_loss, step_exposure
+from ggwarp.kernels.photometric import tracking_loss
+from ggwarp.kernels.photometric.tracking_loss import FOLDED, photometric_loss, step_exposure
 
 H, W = 13, 21
 WEIGHTS = (0.95, 0.05)
 EXPOSURE = (0.15, -0.04)
+
+
+@pytest.fixture(params=[None, 32], ids=["own form", "CUDA form"], autouse=True)
+def form(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The parts that rows are summed in on the device, and as on CUDA."""
+    if request.param is not None:
+        monkeypatch.setattr(tracking_loss, "pieces_per_row", lambda device: request.param)
 
 
 def scene(rng: np.random.Generator) -> dict[str, np.ndarray]:
@@ -28,7 +36,8 @@ def scene(rng: np.random.Generator) -> dict[str, np.ndarray]:
 
 def ours(s: dict[str, np.ndarray], device: str, *, with_depth: bool) -> tuple[np.ndarray, np.ndarray]:
     d_image = wp.zeros((4, 16, 32), dtype=float, device=device)
-    sums = wp.empty((H, 3), dtype=float, device=device)
+    parts = H * tracking_loss.pieces_per_row(device)
+    sums = wp.empty((parts, 3), dtype=float, device=device)
     photometric_loss(
         wp.array(s["image"], device=device),
         wp.array(s["transmittance"], device=device),
@@ -84,12 +93,19 @@ def test_exposure_steps_are_adam_s(device: str, rng: np.random.Generator) -> Non
     expected = torch.tensor(EXPOSURE, dtype=torch.float64, requires_grad=True)
     adam = torch.optim.Adam([expected], lr=1e-2, eps=1e-15)
     for _ in range(15):
-        rows = rng.normal(size=(H, 3)).astype(np.float32)
+        rows = rng.normal(size=(12 * H, 3)).astype(np.float32)
         expected.grad = torch.tensor(rows[:, 1:].sum(0, dtype=np.float64))
         adam.step()
         sums = wp.array(rows, device=device)
         step_exposure(
-            sums, rate=1e-2, moments=moments, steps=steps, exposure=exposure, loss=loss, device=device
+            sums,
+            folded=wp.empty((FOLDED, 3), dtype=float, device=device),
+            rate=1e-2,
+            moments=moments,
+            steps=steps,
+            exposure=exposure,
+            loss=loss,
+            device=device,
         )
         np.testing.assert_allclose(loss.numpy()[0], rows[:, 0].sum(dtype=np.float64), rtol=1e-5)
     np.testing.assert_allclose(exposure.numpy(), expected.detach().numpy(), rtol=1e-4)
