@@ -18,7 +18,7 @@ from ggwarp.kernels.raster.project import TILE, Splats, project
 from ggwarp.kernels.raster.project_adjoint import pose_levels, project_adjoint
 from ggwarp.kernels.raster.tiles import TileArrays, TileCapacityError, bin_splats, tiles_across
 from ggwarp.kernels.workspaces import allocate_slot_gradients, allocate_splats, allocate_tiles
-from ggwarp.ops.tensors import on_stream_of
+from ggwarp.ops.tensors import in_quads, on_stream_of
 from ggwarp.runtime.streams import to_host
 
 _FIELDS: dict[str, tuple[Any, tuple[int, ...]]] = {
@@ -144,7 +144,7 @@ class _Render(torch.autograd.Function):
         camera: Camera,
     ) -> tuple[Tensor, Tensor, Tensor]:
         parameters = [
-            None if t is None else t.contiguous()
+            None if t is None else in_quads(t)
             for t in (means, quats, log_scales, opacity_logits, colours, identities)
         ]
         T_cw = T_cw.contiguous()
@@ -185,7 +185,7 @@ class _Render(torch.autograd.Function):
         ctx: Any, *grads: Tensor
     ) -> tuple[Tensor | None, ...]:
         *parameters, T_cw, image, transmittance = ctx.saved_tensors
-        d_image, d_transmittance = (g.contiguous() for g in grads[:2])
+        d_image, d_transmittance = (in_quads(g) for g in grads[:2])
         splats, tiles, camera = ctx.splats, ctx.tiles, ctx.camera
         count, channels = parameters[0].shape[0], image.shape[0]
         gradients = [None if t is None else torch.zeros_like(t) for t in parameters]

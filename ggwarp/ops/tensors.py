@@ -22,6 +22,15 @@ def on_stream_of(tensor: torch.Tensor) -> AbstractContextManager[Any]:
     return wp.ScopedStream(wp.stream_from_torch(torch.cuda.current_stream(tensor.device)))
 
 
+def in_quads(tensor: torch.Tensor) -> torch.Tensor:
+    """Return ``tensor`` such that kernels can read its memory 16 bytes at a time: itself, or else a copy.
+
+    A copy is needed where it is strided, or begins within 16 bytes: part of a larger tensor.
+    """
+    tensor = tensor.contiguous()
+    return tensor if tensor.data_ptr() % 16 == 0 else tensor.clone()
+
+
 def as_vectors(tensor: torch.Tensor, name: str) -> Any:
     """Return [n, 3] float32 as [n] wp.vec3.
 

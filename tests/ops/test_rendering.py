@@ -185,6 +185,21 @@ def test_uses_the_tensors_own_memory(device):
     assert torch.equal(render(*strided, pose(device).T.contiguous().T, CAMERA)[0], first)
 
 
+def test_parts_of_one_tensor_begin_anywhere(device):
+    """Kernels read 16 bytes at a time: what does not lie so is copied, and gets its gradient all the same."""
+    scene = on(device, make_scene(10), grad=False)
+    flat = torch.cat([torch.zeros(1, device=device), *(t.flatten() for t in scene)]).requires_grad_()
+    sizes = [1, *(t.numel() for t in scene)]
+    parts = [p.view_as(t) for p, t in zip(flat.split(sizes)[1:], scene, strict=True)]
+    assert any(p.data_ptr() % 16 for p in parts)
+    whole = [t.requires_grad_() for t in scene]
+    images = [render(*tensors, pose(device), CAMERA)[0] for tensors in (parts, whole)]
+    assert torch.equal(*images)
+    for image in images:
+        image.square().sum().backward()
+    assert torch.equal(flat.grad[1:], torch.cat([t.grad.flatten() for t in whole]))
+
+
 def test_is_deterministic(device):
     def once():
         scene = on(device, make_scene(60))

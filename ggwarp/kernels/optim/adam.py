@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ggwarp.kernels.block import load16, store16
+from ggwarp.kernels.block import load4, load16, store4, store16
 from ggwarp.kernels.math import vec6, vec16
 from ggwarp.runtime.launch import launch_split
 
@@ -152,7 +152,7 @@ def _gaussians_kernel(
     if ranks[i] < 0:
         return
     dp = d_means[i]
-    dq = d_quats[i]
+    dq = load4(d_quats, i)
     ds = d_log_scales[i]
     dc = d_colours[i]
     g = vec16(
@@ -176,7 +176,7 @@ def _gaussians_kernel(
     store16(second, i, v)
     d = _step(m, v, rates[0] * slower, t)
     means[i] -= wp.vec3(d[0], d[1], d[2])
-    quats[i] = wp.normalize(quats[i] - wp.vec4(d[3], d[4], d[5], d[6]))
+    store4(quats, i, wp.normalize(load4(quats, i) - wp.vec4(d[3], d[4], d[5], d[6])))
     log_scales[i] -= wp.vec3(d[7], d[8], d[9])
     opacity_logits[i] -= d[OPACITY_LANE]
     colours[i] -= wp.vec3(d[11], d[12], d[13])

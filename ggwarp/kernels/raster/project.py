@@ -18,7 +18,7 @@ from typing import Any
 
 import warp as wp
 
-from ggwarp.kernels.block import load16, store16
+from ggwarp.kernels.block import load4, load16, store16
 from ggwarp.kernels.camera import CameraIntrinsics
 from ggwarp.kernels.math import (
     quat_to_matrix,
@@ -207,8 +207,9 @@ def _project(
     opacity = 1.0 / (1.0 + wp.exp(-opacity_logits[i]))
     if not (opacity * 255.0 > 1.0):
         return
-    norm2 = wp.dot(quats[i], quats[i])
-    rotation = rotation_of(T_cw[0]) * quat_to_matrix(wp.normalize(quats[i]))
+    quat = load4(quats, i)
+    norm2 = wp.dot(quat, quat)
+    rotation = rotation_of(T_cw[0]) * quat_to_matrix(wp.normalize(quat))
     m = wp.transpose(scaled_columns(rotation, exp_each(log_scales[i])))
     w0 = m * row_x
     w1 = m * row_y

@@ -11,7 +11,7 @@ from itertools import pairwise
 
 import warp as wp
 
-from ggwarp.kernels.block import load16, store16
+from ggwarp.kernels.block import load4, load16, store4, store16
 from ggwarp.kernels.camera import CameraIntrinsics
 from ggwarp.kernels.math import (
     quat_to_matrix,
@@ -142,7 +142,8 @@ def _project_adjoint(
     # Forward again: cheaper than storing it.
     p = transform_point(T_cw[0], means[i])
     R_cw = rotation_of(T_cw[0])
-    q = wp.normalize(quats[i])
+    quat = load4(quats, i)
+    q = wp.normalize(quat)
     s = exp_each(log_scales[i])
     m = scaled_columns(R_cw * quat_to_matrix(q), s)
     j0 = jacobian_row_x(p, camera)
@@ -174,7 +175,7 @@ def _project_adjoint(
             wp.dot(wp.transpose(m)[2], wp.transpose(d_m)[2]),
         )
         d_q = quat_to_matrix_adjoint(q, wp.transpose(R_cw) * scaled_columns(d_m, s))
-        d_quats[i] = (d_q - q * wp.dot(q, d_q)) / wp.length(quats[i])
+        store4(d_quats, i, (d_q - q * wp.dot(q, d_q)) / wp.length(quat))
 
     z = p[2]
     d_x, d_zx = _slope_gradient(p[0], z, d_j0[2], camera.fx, camera.cx, camera.width)
