@@ -46,7 +46,7 @@ class TargetView(Protocol):
 
     @property
     def depth_weights(self) -> wp.array | None:
-        """[h, w] uint8 how much each reading counts, of 255; None: all alike."""
+        """[h, w] uint8 how much each reading counts, 64 for one; None: all alike."""
         ...
 
     @property

@@ -20,6 +20,9 @@ wp.set_module_options(VECTOR_OPTIONS)
 BAND = 4
 """Rows whose means along columns are taken together: they share most of what they read."""
 
+BYTE_WEIGHT = 1.0 / 64.0
+"""Unit of weights that are kept as bytes: up to 4."""
+
 LINE = wp.constant(wp.uint64(64))
 """Bytes of a line."""
 
@@ -92,14 +95,14 @@ def inside_image(line: int, width: int) -> vec16:
 
 
 @wp.func
-def byte_shares(image: wp.array2d[wp.uint8], row: int, line: int) -> vec16:
-    """``image`` in the lanes of ``line`` of a row, 255 being 1; 1 where there is no image."""
-    shares = vec16(1.0)
+def byte_weights(image: wp.array2d[wp.uint8], row: int, line: int) -> vec16:
+    """``image`` in the lanes of ``line`` of a row, in units of ``BYTE_WEIGHT``; 1 where there is no image."""
+    weights = vec16(1.0)
     if image.shape[0] > 0:
         for k in range(16):
             column = wp.min(16 * line + k, image.shape[1] - 1)
-            shares[k] = float(image[row, column]) * (1.0 / 255.0)
-    return shares
+            weights[k] = float(image[row, column]) * BYTE_WEIGHT
+    return weights
 
 
 @wp.func

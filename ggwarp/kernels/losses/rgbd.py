@@ -15,7 +15,7 @@ from typing import Any
 import warp as wp
 
 from ggwarp.kernels.losses import ssim_planes
-from ggwarp.kernels.losses.pixel_lines import RowWorkspace
+from ggwarp.kernels.losses.pixel_lines import BYTE_WEIGHT, RowWorkspace
 from ggwarp.kernels.losses.rgbd_rows import rgbd_loss_by_rows
 from ggwarp.kernels.losses.ssim import REACH
 from ggwarp.kernels.losses.ssim_planes import PlaneWorkspace
@@ -63,7 +63,7 @@ def _colours_kernel(
     if valid and with_depth != 0:
         weight = float(1.0)
         if weights.shape[0] > 0:
-            weight = float(weights[row, column]) * (1.0 / 255.0)
+            weight = float(weights[row, column]) * BYTE_WEIGHT
         e = image[3, row, column] - d
         error = weight * wp.abs(e) / d_max
         gradient = weight * depth_scale * wp.where(e > 0.0, 1.0, wp.where(e < 0.0, -1.0, 0.0))
@@ -128,7 +128,8 @@ def rgbd_loss(
         colour_weight, dssim, depth_weight: l_rgb, l_dssim and l_d of eqs. 5-6.
         d_max: depth unit of eq. 7, metres.
         mask_colour: False compares colour also where there is no depth.
-        depth_weights: [H, W] uint8 how much each reading counts in the depth term, of 255; None: all alike.
+        depth_weights: [H, W] uint8 how much each reading counts in the depth term, 64 for one; None: all
+            alike.
         device: a Warp device.
     """
     l1_weight, ssim_weight = colour_weight * (1.0 - dssim), -colour_weight * dssim

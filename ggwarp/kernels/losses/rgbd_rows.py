@@ -17,7 +17,7 @@ from ggwarp.kernels.losses.pixel_lines import (
     LINE,
     RowWorkspace,
     band_means,
-    byte_shares,
+    byte_weights,
     inside_image,
     load_line,
     plane_bytes,
@@ -102,7 +102,7 @@ def _colours_kernel(
         if with_depth != 0:
             rendered = image_lines[at + 3 * plane]
             gradient = vec16()
-            weight = byte_shares(weights, row, j)
+            weight = byte_weights(weights, row, j)
             for k in range(16):
                 error = wp.where(valid[k] > 0.0, rendered[k] - d[k], 0.0)
                 errors[k] = errors[k] + weight[k] * wp.abs(error)

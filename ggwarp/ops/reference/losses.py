@@ -39,7 +39,7 @@ def rgbd_losses(
         depth: [H, W] target depth, metres; 0, NaN or infinite: masked out.
         d_max: depth unit, metres.
         mask_colour: apply the depth mask to both colours, too.
-        depth_weights: [H, W] how much each reading counts in the depth term, 0..1; None: all alike.
+        depth_weights: [H, W] how much each reading counts in the depth term; None: all alike.
 
     Returns:
         ``l1``, ``dssim`` (1 - SSIM), ``depth`` and ``masked``, means over all pixels.

@@ -16,6 +16,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ggwarp.geometry import se3
+from ggwarp.kernels.losses.pixel_lines import BYTE_WEIGHT
 from ggwarp.kernels.math import vec6
 from ggwarp.objects.labels import as_png, from_png
 from ggwarp.runtime.image_store import ImageStore
@@ -64,7 +65,7 @@ class Keyframe(KeyframeState):
         colour: [h, w, 3] uint8.
         depth: [h, w] float, metres, 0 = none.
         labels: [h, w] int class of each pixel; None where there is no mask.
-        depth_weights: [h, w] uint8 how much each reading counts in the loss, of 255; None: all alike.
+        depth_weights: [h, w] uint8 how much each reading counts in the loss, 64 for one; None: all alike.
     """
 
     colour: wp.array
@@ -113,16 +114,22 @@ def upload(
 
 
 def _loss_weights(frame: Frame) -> NDArray[np.uint8] | None:
-    """Return how much each reading counts in the loss, [h, w] of 255; None: all alike.
+    """Return how much each reading counts in the loss, [h, w] with 64 for one; None: all alike.
 
     What a frame states goes by the inverse variance, as registration's squares need it. An error that
-    counts by its size goes by the inverse of the deviation, as that of a Laplace distribution.
+    counts by its size goes by the inverse of the deviation, as that of a Laplace distribution. Readings
+    count one in the mean: depth binds the map as much as without, beside colour.
     """
-    if frame.depth_weight is None:
+    assert frame.depth is not None
+    readings = frame.depth > 0.0
+    if frame.depth_weight is None or not readings.any():
         return None
     size = frame.rgb.shape[1], frame.rgb.shape[0]
-    weights = cv2.resize(frame.depth_weight, size, interpolation=cv2.INTER_AREA)
-    return np.rint(255.0 * np.sqrt(np.clip(weights, 0.0, 1.0))).astype(np.uint8)
+    weights = np.sqrt(np.maximum(cv2.resize(frame.depth_weight, size, interpolation=cv2.INTER_AREA), 0.0))
+    mean = float(weights[readings].mean())
+    if mean <= 0.0 or np.ptp(weights[readings]) < 0.01 * mean:
+        return None
+    return np.rint(weights / (mean * BYTE_WEIGHT)).clip(0, 255).astype(np.uint8)
 
 
 POSE = ("T_cw", "pose_moments", "pose_steps")

@@ -54,7 +54,7 @@ def oracle(image, colour, depth, mask_colour=True, weights=None):
     height, width = depth.shape
     x = torch.tensor(image[:, :height, :width].astype(np.float64), requires_grad=True)
     target = torch.tensor(colour.astype(np.float64) / 255.0)
-    shares = None if weights is None else torch.tensor(weights / 255.0)
+    shares = None if weights is None else torch.tensor(weights / 64.0)
     target_depth = torch.tensor(depth.astype(np.float64))
     terms = rgbd_losses(x, target, target_depth, mask_colour=mask_colour, depth_weights=shares)
     rgb = (1 - WEIGHTS["dssim"]) * terms["l1"] + WEIGHTS["dssim"] * terms["dssim"]
@@ -100,7 +100,7 @@ def test_readings_that_are_weighed(rng, device, by_rows, channels):
     np.testing.assert_allclose(losses[:4], want, rtol=2e-5, atol=1e-6)
     for c in range(channels):
         assert_gradient(d_image[c, :37, :45], gradient[c])
-    for full in (None, np.full_like(weights, 255)):
+    for full in (None, np.full_like(weights, 64)):
         same = run(image, colour, depth, device, by_rows=by_rows, weights=full)
         np.testing.assert_allclose(same[0][:4], oracle(image, colour, depth)[0], rtol=2e-5, atol=1e-6)
 
