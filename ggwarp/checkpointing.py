@@ -33,7 +33,7 @@ _MOST_TIME = 0.02
 _NOT_OURS = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RuntimeError)
 """What is raised by state that another version has written."""
 
-KEPT_OF_THE_RECORD = ("truth", "skipped", "loop_s", "refine_iterations", "refine_s")
+KEPT_OF_THE_RECORD = ("truth", "skipped", "warnings", "loop_s", "refine_iterations", "refine_s")
 """Fields of a run's record; the reports are the system's, all else is of the start or the end of a run."""
 
 
@@ -116,6 +116,7 @@ class Checkpoints:
         self._cost_s = self._last_time - started
 
     def _tree(self, snapshot: Snapshot) -> State:
+        self._record.warnings = list(self._display.warnings)
         record = {name: pack(getattr(self._record, name)) for name in KEPT_OF_THE_RECORD}
         return {
             "ggwarp": ggwarp.__version__,
@@ -184,6 +185,8 @@ def go_on(
     for fault in resumed.faults:
         display.warn(f"{fault}; the checkpoint before it is taken")
     pending = _restore(resumed, slam, record, reader)
+    now = [line for line in display.warnings if line not in record.warnings]
+    display.warnings[:] = [*record.warnings, *now]
     done = sorted([*(r.index for r in record.reports), *record.skipped, *(t.frame.index for t in pending)])
     if list(reader.indices[: len(done)]) != done:
         raise ConfigError(

@@ -35,6 +35,7 @@ from ggwarp.io.printable import printable
 _WIDE = 110  # columns from which on there is room for a bar
 _LOOK = 0.2  # seconds after which one who waits for an answer looks whether to go on
 _PLAIN_INTERVAL = 5.0  # seconds between progress lines where there is no terminal
+_MOST_WARNINGS = 300  # that are kept
 
 
 class Verbosity(Enum):
@@ -46,7 +47,14 @@ class Verbosity(Enum):
 
 
 class Display(Protocol):
-    """Shows a run to its user."""
+    """Shows a run to its user.
+
+    Attributes:
+        warnings: what it has warned of, each once, in order; the first few hundred.
+    """
+
+    @property
+    def warnings(self) -> list[str]: ...
 
     def note(self, line: str) -> None:
         """Say one thing on the way."""
@@ -152,11 +160,14 @@ class PlainDisplay:
         self._output, self._errors, self._interval = output, errors, interval
         self._name, self._total, self._done = "", None, 0
         self._started = self._shown = 0.0
+        self.warnings: list[str] = []
 
     def note(self, line: str) -> None:
         _print(self._output, line)
 
     def warn(self, line: str) -> None:
+        if len(self.warnings) < _MOST_WARNINGS and line not in self.warnings:
+            self.warnings.append(line)
         _print(self._errors, f"warning: {line}")
 
     def stage(self, name: str, total: int | None = None) -> None:
@@ -217,10 +228,7 @@ class TerminalDisplay(PlainDisplay):
         )
         self._task: Any = None
         # Beside the live line only the console that draws it can write without tearing it.
-        self._warnings = output if errors.is_terminal else errors
-
-    def warn(self, line: str) -> None:
-        _print(self._warnings, f"warning: {line}")
+        self._errors = output if errors.is_terminal else errors
 
     def stage(self, name: str, total: int | None = None) -> None:
         self._progress.start()

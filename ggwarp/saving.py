@@ -251,6 +251,7 @@ class Saver:
     def _save_metrics(self) -> None:
         wall_s = time.perf_counter() - self._started
         self._record.interrupted = self._stopped()
+        self._record.warnings = list(self._display.warnings)
         self.metrics = metrics_of(self._record, wall_s=wall_s, gaussians=self._gaussians)
         run_folder.write_metrics(self._folder.path, self.metrics)
 

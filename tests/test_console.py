@@ -134,3 +134,12 @@ def test_verbose_has_a_line_for_every_frame(capsys) -> None:
         "frames: 2/9",
         "frames: 3/9",
     ]
+
+
+@pytest.mark.parametrize("kind", [PlainDisplay, QuietDisplay])
+def test_warnings_are_kept_each_once_and_not_without_end(kind: type[PlainDisplay]) -> None:
+    display, _, errors = _plain(kind)
+    for line in ("a", "b", "a", *map(str, range(1000))):
+        display.warn(line)
+    assert display.warnings[:3] == ["a", "b", "0"] and len(display.warnings) == 300
+    assert errors.getvalue().count("warning: a\n") == 2, "shown as often as it is said"

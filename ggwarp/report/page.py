@@ -131,10 +131,14 @@ def _warnings(run: RunData) -> Iterator[str]:
     """Yield what is doubtful."""
     if doubt := run.metrics.get("truth_doubt"):
         yield str(doubt)
-    yield from map(str, (run.metrics.get("plan") or {}).get("warnings") or [])
     table_ = run.frames
     rows = zip(table_.text("index"), table_.text("verdict"), table_.text("reason"), strict=True)
     bad = [(index, verdict, reason) for index, verdict, reason in rows if verdict in ("lost", "skipped")]
+    said = [*((run.metrics.get("plan") or {}).get("warnings") or []), *(run.metrics.get("warnings") or [])]
+    of_frames = tuple(f"frame {index} {verdict}" for index, verdict, _ in bad)
+    for line in dict.fromkeys(map(str, said)):
+        if not line.startswith(of_frames):  # which follow
+            yield line
     if len(bad) > _MOST_REASONS:
         lost = sum(verdict == "lost" for _, verdict, _ in bad)
         yield f"{lost} frames lost, {len(bad) - lost} skipped, of {len(table_)}; the first ones:"

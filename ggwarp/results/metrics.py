@@ -97,7 +97,7 @@ def metrics_of(record: RunRecord, *, wall_s: float, gaussians: int | None) -> di
     ``mapping_ms`` are means per frame; ``wall_s`` runs from the command's start; ``depth_noise_mm`` is the
     standard deviation of depth that the frames show, at the depth of half of them; ``position_std_cm`` is the
     largest standard deviation of a position, from the first frame on, as the run itself knows it;
-    ``failures`` has a line for each part of the run that failed.
+    ``failures`` has a line for each part of the run that failed, ``warnings`` those that the user was shown.
     """
     reports = record.reports
     ate, rpe, scale = _trajectory_errors(record)
@@ -147,6 +147,7 @@ def metrics_of(record: RunRecord, *, wall_s: float, gaussians: int | None) -> di
         "peak_memory_mb": peak_memory_mb(),
         "interrupted": record.interrupted,
         "failures": list(record.failures),
+        "warnings": list(record.warnings),
         "versions": versions(),
         "plan": record.plan or None,
     }

@@ -29,6 +29,7 @@ class RunRecord:
         interrupted: whether a signal ended the run before its frames or its comparison were done.
         failure: what ended the run early; None: nothing did.
         failures: one line for each part of the run that failed, ``failure`` included, in order.
+        warnings: what the user was warned of, as far as it was saved, in order.
         plan: how the sequence was read, as ``metrics.json`` has it.
         evaluation: pictures and objects against the frames; empty when not done.
     """
@@ -49,6 +50,7 @@ class RunRecord:
     interrupted: bool = False
     failure: Exception | None = None
     failures: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
     plan: dict[str, Any] = field(default_factory=dict)
     evaluation: Evaluation = field(default_factory=Evaluation)
 

@@ -228,6 +228,11 @@ class ShownDisplay:
     def __init__(self, display: Display, viewer: LiveViewer) -> None:
         self._display, self._viewer = display, viewer
 
+    @property
+    def warnings(self) -> list[str]:
+        """What was warned of."""
+        return self._display.warnings
+
     def note(self, line: str) -> None:
         """Say one thing on the way."""
         self._viewer.say(line)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import logging
 import os
 import re
 import shutil
@@ -128,6 +129,25 @@ def test_every_run_has_a_report(kind: str, scene: Path, fake, monkeypatch) -> No
     assert pictures == (kind not in ("interrupted", "failed evaluation"))
     assert ("No pictures" in said) != pictures
     assert ("lost" in said.split("Frames and renders")[0].split("Path")[1]) == (kind == "lost frames")
+
+
+def test_warnings_of_the_terminal_are_in_it_once(scene: Path, fake, monkeypatch, capsys) -> None:
+    whole = fake._report
+
+    def warned(slam, frame, iterations):
+        logging.getLogger("ggwarp").warning("the lens <i>is</i> dusty")
+        lost = Verdict.LOST if frame.index == 2 else Verdict.CONVERGED
+        return dataclasses.replace(whole(slam, frame, iterations), verdict=lost, reason="no points")
+
+    monkeypatch.setattr(fake, "_report", warned)
+    assert run.main(RUN) == 0
+    warnings = json.loads(Path("o/metrics.json").read_text())["warnings"]
+    assert warnings.count("the lens <i>is</i> dusty") == 1 and "frame 2 lost: no points" in warnings
+    assert [line for line in capsys.readouterr().err.splitlines() if "dusty" not in line] == [
+        f"warning: {line}" for line in warnings if "dusty" not in line
+    ]
+    said = checked(Path("o"))
+    assert said.count("the lens <i>is</i> dusty") == said.count("frame 2 lost: no points") == 1
 
 
 def test_a_report_that_cannot_be_written_costs_nothing_else(scene: Path, fake, monkeypatch, capsys) -> None:

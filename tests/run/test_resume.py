@@ -59,7 +59,7 @@ def copied(whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path
 
 def figures(folder: Path) -> dict[str, object]:
     metrics = json.loads((folder / "metrics.json").read_text())
-    return {k: v for k, v in metrics.items() if k not in {*TIMES, "peak_memory_mb"}}
+    return {k: v for k, v in metrics.items() if k not in {*TIMES, "peak_memory_mb", "warnings"}}
 
 
 def assert_same(one: Path, other: Path) -> None:
