@@ -55,6 +55,7 @@ COMPARED = tuple(sorted({*OUTPUTS} - {"metrics.json", "frames.csv", "report.html
 NOT_COMPARED = {
     *("fps", "wall_s", "tracking_ms", "mapping_ms", "refine_s", "peak_memory_mb"),
     *("latency_ms_p50", "latency_ms_p95", "loop_ms"),
+    "warnings",  # a killed run was warned of other things
 }
 
 STAGES = ("open", "track", "map", "checkpoint", "refine", "save", "evaluate")
