@@ -51,6 +51,26 @@ def test_a_loop_and_the_ways_through_it():
     assert (skipped.length, blended.length, whole.length) == (7, 11, 13)
 
 
+def test_code_that_nothing_leads_to_hides_no_loop():
+    """Where lanes have come together, BRA.CONV jumps over a call that brings them together."""
+    text = """Function : some
+        /*0000*/  MOV R0, RZ ;
+        /*0010*/  IADD3 R0, R0, 0x1, RZ ;
+        /*0020*/  BRA.DIV ~URZ, 0x90 ;
+        /*0030*/  BRA.CONV ~URZ, 0x50 ;
+        /*0040*/  CALL.REL.NOINC 0x200 ;
+        /*0050*/  ISETP.NE.AND P0, PT, R0, R7, PT ;
+        /*0060*/  @P0 BRA 0x10 ;
+        /*0070*/  EXIT ;
+        /*0090*/  BRA 0x30 ;
+"""
+    ((_, code),) = sass.parse(text).items()
+    blocks = sass.blocks_of(code)
+    (loop,) = sass.loops_of(blocks)
+    way = sass.way_through(blocks, loop, {loop.head: 1}, without=set(), longest=True)
+    assert way is not None and way.length == 5, "neither aside nor through the call"
+
+
 def test_a_load_of_one_place_and_a_store_of_32():
     assert lanes.wavefronts(listing()) == {0x20: 1, 0x80: 1}
 

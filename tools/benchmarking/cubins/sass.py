@@ -89,11 +89,13 @@ def blocks_of(code: list[Instruction]) -> list[Block]:
     at = {block.code[0].address: k for k, block in enumerate(blocks)}
     for k, block in enumerate(blocks):
         last = block.code[-1]
-        conditional = bool(last.predicate) or bool(_CONDITION.match(last.operands))
+        # BRA.DIV leads aside where a warp's lanes have not come together: the rare case.
+        aside = ".DIV" in last.name
+        conditional = aside or bool(last.predicate) or bool(_CONDITION.match(last.operands))
         ends = last.operation in ("BRA", "EXIT", "BRX", "RET") and not conditional
         if not ends and k + 1 < len(blocks):
             block.next.append(k + 1)
-        if last.operation == "BRA" and _target(last) in at:
+        if last.operation == "BRA" and not aside and _target(last) in at:
             block.next.append(at[_target(last)])
     return blocks
 
@@ -101,13 +103,10 @@ def blocks_of(code: list[Instruction]) -> list[Block]:
 def loops_of(blocks: list[Block]) -> list[Loop]:
     """Return the natural loops, innermost first; back edges to one head are one loop."""
     bodies: dict[int, set[int]] = {}
-    dominators = _dominators(blocks)
-    before: list[list[int]] = [[] for _ in blocks]
-    for k, block in enumerate(blocks):
-        for following in block.next:
-            before[following].append(k)
-    for k, block in enumerate(blocks):
-        for head in block.next:
+    before = _before(blocks)
+    dominators = _dominators(before)
+    for head, leading in enumerate(before):
+        for k in leading:
             if head in dominators[k]:
                 body = bodies.setdefault(head, {head})
                 waiting = [k]
@@ -119,18 +118,28 @@ def loops_of(blocks: list[Block]) -> list[Loop]:
     return sorted((Loop(head, frozenset(b)) for head, b in bodies.items()), key=lambda loop: len(loop.body))
 
 
-def _dominators(blocks: list[Block]) -> list[set[int]]:
-    """Return for each block those that every way from the beginning passes; empty where there is no way."""
-    everything = set(range(len(blocks)))
-    found = [{0}] + [set(everything) for _ in blocks[1:]]
+def _before(blocks: list[Block]) -> list[list[int]]:
+    """Return for each block those that lead to it, of the blocks that can be reached."""
     before: list[list[int]] = [[] for _ in blocks]
-    for k, block in enumerate(blocks):
-        for following in block.next:
+    waiting, seen = [0], {0}
+    while waiting:
+        k = waiting.pop()
+        for following in blocks[k].next:
             before[following].append(k)
+            if following not in seen:
+                seen.add(following)
+                waiting.append(following)
+    return before
+
+
+def _dominators(before: list[list[int]]) -> list[set[int]]:
+    """Return for each block those that every way from the beginning passes."""
+    everything = set(range(len(before)))
+    found = [{0}] + [set(everything) for _ in before[1:]]
     changed = True
     while changed:
         changed = False
-        for k in range(1, len(blocks)):
+        for k in range(1, len(before)):
             ways = [found[p] for p in before[k]]
             new = set.intersection(*ways) | {k} if ways else {k}
             if new != found[k]:
