@@ -34,7 +34,7 @@ from ggwarp.types import Float64, Frame, MapSnapshot, Rendered, TrackResult, Ver
 _ALIKE = 20
 """So many views are compared with a frame by their features, those that look most alike."""
 
-_INLIERS, _INLIER_SHARE = 20, 0.3
+_INLIERS, _INLIER_SHARE = 12, 0.3
 """Matched features that agree, at least, and their share of the matches."""
 
 _TRIED = 3
