@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
-from ggwarp.runtime.state import Stateful, state_value
+from ggwarp.runtime.state import FrameSource, State, Stateful, state_value
 from ggwarp.types import Float32, Float64, Frame
 
 Bools = NDArray[np.bool_]
@@ -33,6 +33,8 @@ _TOLERANCE = 0.05
 """Surfaces whose depths differ by less than this share may be one: three standard deviations of a Kinect at
 4 m (Nguyen et al., 2012), and a pose that is a little off."""
 _LEAST_VOTES = 2
+_SAME_SIDE = 0.0
+"""Cosine of the angle between two views' axes below which they are not compared: they show other sides."""
 _AGES = 8
 """Of the frames that testify to free space: up to 2^8 frames."""
 _NEIGHBOURS = np.ones((3, 3), np.uint8)
@@ -91,6 +93,47 @@ class MovingPixels(Stateful):
         """Let the recent views follow a correction: the motion [4, 4] of the world, by a view's number."""
         for voter in self._recent:
             voter.T_wc = motion_of(voter.number) @ voter.T_wc
+
+
+class GonePixels(Stateful):
+    """Finds the pixels of older views that new ones see through: what was there has been taken away."""
+
+    def __init__(self, camera: Camera) -> None:
+        """Know no view yet; all are ``camera``'s."""
+        self._camera = camera
+        self._views: list[_Voter] = []
+
+    def begin(self, number: int, depth: Float32, T_wc: Float64) -> None:
+        """Take in an older view, its number, depth [h, w], metres, 0 = none, and pose [4, 4]."""
+        self._views.append(_voter(self._camera, number, depth, T_wc))
+
+    def add(self, depth: Float32, T_wc: Float64) -> dict[int, Bools]:
+        """Let a new view, ``depth`` [h, w] from ``T_wc`` [4, 4], vote on the older ones.
+
+        Returns:
+            Number -> [h, w] the pixels that are gone, of those older ones where any are by this vote.
+        """
+        witness, changed = _voter(self._camera, -1, depth, T_wc), dict[int, Bools]()
+        for view in self._views:
+            if view.T_wc[:3, 2] @ T_wc[:3, 2] < _SAME_SIDE:
+                continue
+            before = view.moved()
+            _vote(self._camera, view, witness)
+            if (view.moved() & ~before).any():
+                changed[view.number] = _whole(view.moved(), depth.shape)
+        return {number: pixels for number, pixels in changed.items() if pixels.any()}
+
+    def state(self) -> State:
+        """Return the votes alone: the views are had again."""
+        return {
+            "through": [v.through.copy() for v in self._views],
+            "in_place": [v.in_place.copy() for v in self._views],
+        }
+
+    def restore(self, state: State, frames: FrameSource) -> None:
+        """Take over the votes on the same views."""
+        for view, through, in_place in zip(self._views, state["through"], state["in_place"], strict=True):
+            view.through, view.in_place = through.copy(), in_place.copy()
 
 
 class FreeSpace(Stateful):

@@ -11,7 +11,7 @@ from ggwarp.datasets.built_in.synthetic import SyntheticOffice
 from ggwarp.evaluation.trajectory import absolute_error
 from ggwarp.pipeline.mapping.build import build_mapper
 from ggwarp.pipeline.mapping.mapper import Mapper, MapperConfig
-from ggwarp.pipeline.moving_pixels import FreeSpace, MovingPixels, without_pixels
+from ggwarp.pipeline.moving_pixels import FreeSpace, GonePixels, MovingPixels, without_pixels
 from ggwarp.pipeline.slam import Slam, SlamConfig
 from ggwarp.types import Frame
 
@@ -53,6 +53,30 @@ def test_nothing_moves_where_nothing_moves(kinect):
         for number, frame in enumerate(frames):
             masks |= moving.add(number, frame.depth, frame.T_wc)
         assert sum(np.count_nonzero(m) for m in masks.values()) < 0.004 * sum(f.depth.size for f in frames)
+
+
+def test_what_two_views_see_through_is_gone_and_what_hides_it_is_not():
+    older = OFFICE[0]
+    box = (slice(20, 60), slice(60, 110))
+    before = older.depth.copy()
+    before[box] *= 0.6  # something stood there
+    gone, again = (GonePixels(OFFICE.camera) for _ in range(2))
+    for known in (gone, again):
+        known.begin(7, before, older.T_wc)
+    assert gone.add(OFFICE[1].depth, OFFICE[1].T_wc) == {}, "one vote proves nothing"
+    again.restore(gone.state(), lambda index: older)
+    for known in (gone, again):
+        [(number, pixels)] = known.add(OFFICE[2].depth, OFFICE[2].T_wc).items()
+        assert number == 7 and pixels[box].mean() > 0.9
+        pixels[box] = False
+        assert pixels.mean() < 0.03, "a rim around it"
+    assert gone.add(OFFICE[3].depth, OFFICE[3].T_wc).keys() <= {7}
+    hidden = GonePixels(OFFICE.camera)
+    hidden.begin(0, older.depth, older.T_wc)
+    for index in (1, 2, 3):
+        nearer = OFFICE[index].depth.copy()
+        nearer[box] *= 0.6  # something stands there now
+        assert hidden.add(nearer, OFFICE[index].T_wc) == {}
 
 
 def test_one_vote_proves_nothing_two_do_and_what_stands_is_furniture():

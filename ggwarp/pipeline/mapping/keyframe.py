@@ -192,7 +192,10 @@ class Keyframes(Sequence[Keyframe], Stateful):
             self._packed_labels.pop(number, None)
 
     def leave_out(self, number: int, pixels: NDArray[np.bool_]) -> int:
-        """Take the depth of ``pixels`` [h, w] from keyframe ``number``; return how many had one."""
+        """Take the depth of ``pixels`` [h, w] from keyframe ``number``; return how many had one.
+
+        In a view of an earlier map nothing is told of objects there, either: they are gone.
+        """
         key = number, "depth"
         array = self._images.get(key)
         depth = to_host(array)
@@ -201,6 +204,9 @@ class Keyframes(Sequence[Keyframe], Stateful):
             array.assign(np.where(pixels, np.float32(0), depth))
             self._images.put(key, array)
             self._left_out[number] = self._left_out.get(number, False) | pixels
+            if self.states[number].is_earlier and (number, "labels") in self._images:
+                labels = to_host(self._images.get((number, "labels")))
+                self.label(number, np.where(pixels, np.int32(-1), labels))
         return had
 
     @property
@@ -251,6 +257,11 @@ class Keyframes(Sequence[Keyframe], Stateful):
         """Return the camera-to-world pose [4, 4] of keyframe ``number`` (-1: the newest) as it is now."""
         T_cw = to_host(self.states[number].T_cw)[0].astype(np.float64)
         return se3.inverse(se3.orthonormalised(T_cw))
+
+    def poses(self) -> dict[int, Float64]:
+        """Return the poses, by the frame's index, of all but an earlier map's views."""
+        numbers = [number for number, state in enumerate(self.states) if not state.is_earlier]
+        return {self.states[number].index: self.pose(number) for number in numbers}
 
     def set_pose(self, number: int, T_wc: Float64) -> None:
         """Put keyframe ``number`` at ``T_wc`` [4, 4]; what Adam remembers of its pose is in its camera."""

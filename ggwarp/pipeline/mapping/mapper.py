@@ -20,6 +20,7 @@ from ggwarp.objects.mask_supervision import SupervisionConfig
 from ggwarp.objects.object_learning import ObjectLearning
 from ggwarp.pipeline.mapping.densification import RESET_OPACITY, lower_opacities
 from ggwarp.pipeline.mapping.depth_completion import DepthCompletion
+from ggwarp.pipeline.mapping.earlier_views import EarlierViews
 from ggwarp.pipeline.mapping.exposure import ExposureModel
 from ggwarp.pipeline.mapping.keyframe import Keyframes, upload
 from ggwarp.pipeline.mapping.keyframe_sampler import KeyframeSampler
@@ -78,6 +79,7 @@ class Mapper(Stateful):
         "left_out",
         "refused",
         "_passed_over",
+        "_earlier",
     )
 
     def __init__(
@@ -122,6 +124,7 @@ class Mapper(Stateful):
         self._moving = MovingPixels(renderer.camera) if depth_completion is None else None
         self.refused = False
         self._passed_over = PassedOver()
+        self._earlier = EarlierViews(gaussians, keyframes, renderer.camera)
         self.left_out = {"pictures_left_out": 0, "pixels_left_out": 0, "keyframe_pixels": 0}
 
     @property
@@ -138,6 +141,7 @@ class Mapper(Stateful):
         """Fit an earlier map to its own ``view`` from ``T_wc`` [4, 4], too: what is not seen again stays."""
         labels = None if self.objects is None else self.objects.labels_of(rendered)
         self._optimiser.add(upload(view, T_wc, labels, device=self._device))
+        self._earlier.add(view, T_wc)
 
     def insert(self, frame: Frame, T_wc: Float64, exposure: Exposure | None = None) -> bool:
         """Make ``frame`` a keyframe and add the Gaussians that it shows and the map lacks.
@@ -214,17 +218,17 @@ class Mapper(Stateful):
             self.left_out["pictures_left_out"] += 1
             _log.warning("frame %d is not mapped: %s", frame.index, reason)
             return None
+        self._earlier.take_out_what_is_gone(frame.depth, T_wc)
         number = len(self._keyframes)
         moved = moving.add(number, frame.depth, T_wc)
+        wrong = moved.pop(number, np.zeros(frame.depth.shape, bool))
         for earlier, pixels in moved.items():
-            if earlier != number:
-                self._leave_out(earlier, pixels)
-        return moved.get(number, np.zeros(frame.depth.shape, bool))
+            self._leave_out(earlier, pixels)
+        return wrong
 
     def _leave_out(self, number: int, pixels: Bools) -> None:
         """Take ``pixels`` [h, w] out of keyframe ``number``, and the Gaussians that it added there."""
-        new = self._keyframes.leave_out(number, pixels)
-        if not new:
+        if not (new := self._keyframes.leave_out(number, pixels)):
             return
         self.left_out["pixels_left_out"] += new
         means, born = (to_host(self.map.fields[n])[: self.map.count] for n in ("means", "keyframe_ids"))
@@ -303,10 +307,7 @@ class Mapper(Stateful):
 
     def keyframe_poses(self) -> dict[int, Float64]:
         """Return the pose of each keyframe that is fitted, by the frame's index; none where poses stay."""
-        if not self.fits_poses:
-            return {}
-        numbers = {state.index: number for number, state in enumerate(self._keyframes.states)}
-        return {index: self._keyframes.pose(numbers[index]) for index in self.keyframe_indices}
+        return self._keyframes.poses() if self.fits_poses else {}
 
     def keyframe_exposure(self, number: int) -> Exposure:
         """Return the exposure of keyframe ``number`` (-1: the newest) as it is now."""

@@ -115,3 +115,24 @@ def test_a_render_has_depth_where_it_shows_one_surface() -> None:
     frame = frame_of(Rendered(np.full((*shape, 3), 0.5, np.float32), depth, median, opacity), view_index(17))
     assert frame.index == -18 and view_index(frame.index) == 17 and frame.rgb.dtype == np.uint8
     np.testing.assert_array_equal(frame.depth, [[2.0, 0.0, 0.0, 0.0]])
+
+
+def test_what_has_been_taken_away_since_goes_and_what_is_behind_it_comes(earlier) -> None:
+    cabinet, printer = 34, 35
+    emptied = SyntheticOffice(scale=0.2, without=(cabinet, printer))
+    slam = system(emptied, earlier)
+    before = {record.id: record.count for record in slam.objects({})}
+    assert before[cabinet] > 100 and before[printer] > 50
+    errors = []
+    for index in range(1, 31, 2):
+        slam.step(emptied[index])
+    for index in range(1, 31, 2):
+        full, empty = OFFICE[index], emptied[index]
+        taken = np.isin(full.mask, (cabinet, printer)) & (full.mask != empty.mask)
+        shown = slam.render(slam.fitted_poses()[index]).surface_depth
+        errors.append(np.abs(shown - empty.depth)[taken])
+    assert np.median(np.concatenate(errors)) < 0.05, "it was half a metre before"
+    after = {record.id: record.count for record in slam.objects({})}
+    assert after.get(cabinet, 0) < 0.1 * before[cabinet] and after.get(printer, 0) < 0.1 * before[printer]
+    others = [i for i, count in before.items() if count > 100 and i not in (cabinet, printer)]
+    assert all(after[i] > 0.5 * before[i] for i in others), "what stands still stays"
