@@ -73,7 +73,9 @@ class Exposure:
     def undo_exposure(self, rgb: NDArray[np.uint8]) -> Float32:
         """Return the map's colours [h, w, 3], 0..1, of the picture ``rgb`` [h, w, 3]."""
         slope, offset = np.exp(np.negative(self.log_gain)) / 255.0, np.array(self.offset)
-        return np.clip(rgb * slope - offset * (slope * 255.0), 0.0, 1.0).astype(np.float32)
+        levels = np.arange(256)[:, None]  # a channel's 256 values are looked up, not computed anew
+        colours = np.clip(levels * slope - offset * (slope * 255.0), 0.0, 1.0).astype(np.float32)
+        return np.stack([colours[:, c][rgb[..., c]] for c in range(3)], axis=-1)
 
 
 class Verdict(Enum):

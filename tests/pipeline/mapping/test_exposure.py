@@ -96,3 +96,13 @@ def test_recorded_and_direct_fits_are_the_same_to_the_bit(device: str) -> None:
     direct, recorded = (made(device, frames, CONFIG, recorded=r) for r in (False, True))
     assert direct.keyframe_exposure(1) == recorded.keyframe_exposure(1) != Exposure()
     np.testing.assert_array_equal(direct.map.to_host().colours, recorded.map.to_host().colours)
+
+
+def test_an_exposure_is_undone_for_every_level_of_every_channel(rng: np.random.Generator) -> None:
+    exposure = Exposure((0.2, -0.1, 0.1), (0.03, 0.0, -0.02))
+    rgb = rng.integers(0, 256, (7, 300, 3)).astype(np.uint8)
+    expected = np.clip((rgb / 255.0 - exposure.offset) / np.exp(exposure.log_gain), 0.0, 1.0)
+    for picture, colours in ((rgb, expected), (rgb[3], expected[3]), (rgb[:0], expected[:0])):
+        found = exposure.undo_exposure(picture)
+        assert found.dtype == np.float32 and found.shape == picture.shape
+        np.testing.assert_allclose(found, colours, atol=1e-6)

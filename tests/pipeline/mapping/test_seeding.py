@@ -38,10 +38,16 @@ def view(depth: np.ndarray, opacity: float = 1.0, grey: float = 128 / 255) -> Re
     )
 
 
+def everywhere(depth: np.ndarray) -> np.ndarray:
+    """Return the normals of all pixels."""
+    rows, columns = np.indices(depth.shape).reshape(2, -1)
+    return surface_normals(depth, CAMERA, rows, columns).reshape(*depth.shape, 3)
+
+
 def test_normals_of_a_plane_point_to_the_camera() -> None:
     normal = np.array([0.3, -0.2, -1.0])
     normal /= np.linalg.norm(normal)
-    normals = surface_normals(tilted_plane(normal, 2.0), CAMERA)[4:-4, 4:-4]
+    normals = everywhere(tilted_plane(normal, 2.0))[4:-4, 4:-4]
     np.testing.assert_allclose(normals, np.broadcast_to(normal, normals.shape), atol=0.01)
 
 
@@ -49,7 +55,7 @@ def test_no_normal_across_a_depth_edge_or_without_depth() -> None:
     depth = np.full((48, 64), 1.0, np.float32)
     depth[:, 32:] = 3.0
     depth[10, 10] = 0.0
-    normals = surface_normals(depth, CAMERA)
+    normals = everywhere(depth)
     assert not normals[20, 31:33].any() and not normals[10, 10].any()
     assert np.isfinite(normals).all()
 
