@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What registrations leave open adds up along the way, and ends where a loop is closed."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from ggwarp.geometry.pose_correction import PoseCorrection
 from ggwarp.pipeline.loops.loop_closer import Closure
 from ggwarp.pipeline.loops.pose_uncertainty import PoseUncertainty
 from ggwarp.pipeline.slam import Slam, SlamConfig
-from ggwarp.types import TrackResult, Verdict
+from ggwarp.types import FramePoints, TrackResult, Verdict
 
 OFFICE = SyntheticOffice(scale=0.15)
 SURE = np.diag([1e6] * 3 + [1e8] * 3)  # 1 mm and 0.1 mrad
@@ -45,7 +47,24 @@ def test_turns_that_are_unsure_count_by_how_far_the_camera_goes():
     known.position_std(0, result(np.eye(4), None), is_keyframe=True)
     turn = known.position_std(1, result(np.eye(4), loose), is_keyframe=True)
     walked = known.position_std(2, result(moved(3.0), 1e6 * SURE), is_keyframe=True)
-    assert turn < 1e-4 and walked == pytest.approx(2.0 * 0.001 * 3.0, rel=0.01)
+    assert turn < 1e-4 and walked == pytest.approx(0.001 * 3.0, rel=0.01)
+
+
+@pytest.mark.parametrize("noise_share", [0.0, 0.1, 1.0, 1.4])
+def test_a_real_sensors_scale_counts_by_the_distance_from_the_start(noise_share):
+    """Rendered depth has none; coming back takes it away."""
+    none = np.zeros((0, 3), np.float32)
+    points = FramePoints(none, none, none, none[:, 0], none[:, 0], noise_share=noise_share)
+    known = PoseUncertainty()
+    known.position_std(0, result(moved(1.0), None), is_keyframe=True)
+    away, back = (
+        known.position_std(
+            i, dataclasses.replace(result(moved(x), 1e9 * SURE), points=points), is_keyframe=False
+        )
+        for i, x in ((1, 4.0), (2, 1.0))
+    )
+    assert away == pytest.approx(0.02 * 3.0 * min(noise_share, 1.0) ** 2, rel=0.01, abs=1e-6)
+    assert back < 1e-6
 
 
 def test_what_nothing_fixes_is_centimetres_and_what_is_not_stated_is_not_known():
