@@ -13,8 +13,8 @@ from ggwarp.runtime.state import Stateful, state_value
 from ggwarp.types import Float64, TrackResult, Verdict
 
 _ACCURACY = 0.02
-"""Standard deviation of a depth sensor's scale: all distances are wrong by one share, and no registration sees
-it. RealSense's D400 series states 2 % at most; Kinects of the TUM benchmark were 0, 3.1 and 3.5 % off."""
+"""Standard deviation of a depth sensor's scale: distances are wrong by one share, which no registration sees.
+RealSense's D400 series states 2 % at most; Kinects of the TUM benchmark were 0, 3.1 and 3.5 % off."""
 
 _UNFIXED = 0.02
 """What no registration fixes is held by the motion before: standard deviation, metres and radians."""

@@ -30,7 +30,7 @@ def test_the_first_frame_is_certain_and_standing_still_adds_nothing():
     known = PoseUncertainty()
     assert known.position_std(0, result(np.eye(4), None), is_keyframe=True) == 0.0
     first, *others = (known.position_std(i, result(np.eye(4)), is_keyframe=False) for i in range(1, 9))
-    assert first > 1e-3 and others == [first] * 7
+    assert first == pytest.approx(1e-3, rel=0.01) and others == [first] * 7
 
 
 def test_keyframes_add_up_as_a_random_walk_does():
@@ -57,12 +57,8 @@ def test_a_real_sensors_scale_counts_by_the_distance_from_the_start(noise_share)
     points = FramePoints(none, none, none, none[:, 0], none[:, 0], noise_share=noise_share)
     known = PoseUncertainty()
     known.position_std(0, result(moved(1.0), None), is_keyframe=True)
-    away, back = (
-        known.position_std(
-            i, dataclasses.replace(result(moved(x), 1e9 * SURE), points=points), is_keyframe=False
-        )
-        for i, x in ((1, 4.0), (2, 1.0))
-    )
+    there = (dataclasses.replace(result(moved(x), 1e9 * SURE), points=points) for x in (4.0, 1.0))
+    away, back = (known.position_std(i, seen, is_keyframe=False) for i, seen in enumerate(there, 1))
     assert away == pytest.approx(0.02 * 3.0 * min(noise_share, 1.0) ** 2, rel=0.01, abs=1e-6)
     assert back < 1e-6
 
@@ -70,7 +66,7 @@ def test_a_real_sensors_scale_counts_by_the_distance_from_the_start(noise_share)
 def test_what_nothing_fixes_is_centimetres_and_what_is_not_stated_is_not_known():
     known = PoseUncertainty()
     known.position_std(0, result(np.eye(4), None), is_keyframe=True)
-    assert known.position_std(1, result(np.eye(4), np.zeros((6, 6))), is_keyframe=False) > 0.03
+    assert known.position_std(1, result(np.eye(4), np.zeros((6, 6))), is_keyframe=False) > 0.015
     assert np.isnan(known.position_std(2, result(np.eye(4), None), is_keyframe=True))
 
 
