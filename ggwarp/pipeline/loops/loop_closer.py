@@ -212,14 +212,14 @@ class LoopCloser(Stateful):
         return MeasuredMotion(b - 1, b, T_ab, covariance * (_POOR**2 if self._doubtful else 1.0))
 
     def _loop(self, a: int, b: int, scope: Scope) -> MeasuredMotion | None:
-        """Return the motion between two places by features and surfaces; None where these do not agree."""
+        """Return the motion between two places by features; None where surfaces do not agree with it."""
         found = self._aligned(a, b, _INLIERS)
         if found is None:
             return None
         surfaces = self._places[a].surface, self._places[b].surface
         with scope():
-            refined = self._surfaces.refine(*surfaces, found.T_ab, found.information)
-        return None if refined is None else _measured(a, b, *refined)
+            agree = self._surfaces.agree(*surfaces, found.T_ab, found.information)
+        return _measured(a, b, found.T_ab, found.information) if agree else None
 
     def _aligned(self, a: int, b: int, least: int) -> FeatureAlignment | None:
         """Return the motion between two places by their features; None where too few agree."""

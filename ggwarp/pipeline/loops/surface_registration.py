@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The motion between two keyframes by their surfaces: what a loop found by its features must agree with.
+"""Two keyframes' surfaces laid on each other: what a loop found by its features must not contradict.
 
-Features say where the camera is; surfaces, registered from there, say it again by other readings, and how
-well. Two views of which less than half can be laid on each other show different places, or too little of the
-same one.
+Features say where the camera is; surfaces, registered from there, say it again by other readings. Their word
+is a veto and no more: what depth is biased by, tracking by depth has followed already.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -30,6 +29,9 @@ _KEPT = 4000
 
 _CELL_SPACINGS = 2.5
 """Size of the search grid's cells, spacings."""
+
+_LEAST_SHARED = 0.2
+"""Share of a keyframe's points that have another's near, at least: as many as tracking asks of a frame."""
 
 _DISAGREEMENT = 22.5
 """Squared Mahalanobis distance of six numbers that one in a thousand exceeds by chance."""
@@ -72,6 +74,13 @@ def _thinned(points: Float32, quats: Float32, spreads: Float32) -> Surface:
     return Surface(points, quats, spreads, spacing)
 
 
+def _near(a: Surface, b: Surface, T_ab: Float64) -> Surface:
+    """Return the part of ``b`` that has points of ``a`` near."""
+    distances, _ = KDTree(a.points).query(se3.transform_points(T_ab, b.points), workers=1)
+    near = distances <= RADII[0]
+    return replace(b, points=b.points[near], quats=b.quats[near], spreads=b.spreads[near])
+
+
 class SurfaceRegistration(Stateful):
     """Lays keyframes' surfaces on each other."""
 
@@ -81,29 +90,26 @@ class SurfaceRegistration(Stateful):
         self._device = device
         self._registrar = Registrar(device=device)
 
-    def refine(
-        self, a: Surface, b: Surface, T_ab: Float64, information: Float64
-    ) -> tuple[Float64, Float64] | None:
-        """Return the motion [4, 4] by surfaces and by what is known of it, and the information [6, 6] then.
-
-        None where fewer than half the points of ``b`` lie on ``a``, or where they contradict what is known.
+    def agree(self, a: Surface, b: Surface, T_ab: Float64, information: Float64) -> bool:
+        """Return whether the surfaces can be laid on each other, and are then where features say.
 
         Args:
-            T_ab: [4, 4] where features say that it is.
+            T_ab: [4, 4] from the camera of ``b`` to that of ``a``, by features.
             information: [6, 6] inverse covariance of a twist in the second camera, positive definite.
         """
+        shared = _near(a, b, T_ab)
+        if len(shared.points) < _LEAST_SHARED * len(b.points):
+            return False
         spacing = max(a.spacing, b.spacing)
-        found = register_coarse_to_fine(self._registrar, self._cloud(b), self._target(a), T_ab, spacing)
+        found = register_coarse_to_fine(self._registrar, self._cloud(shared), self._target(a), T_ab, spacing)
         if not np.isfinite(found.residual_scale):
-            return None  # fewer than half the points have a match
+            return False  # fewer than half of the points near have a match
         surfaces = scaled_information(found)
         joint = surfaces + information
         apart = se3.se3_log(se3.inverse(T_ab) @ found.T_wc)
         step = np.linalg.solve(joint, surfaces @ apart)
         # (S^-1 + I^-1)^-1, also where surfaces leave a direction open.
-        if apart @ surfaces @ (apart - step) > _DISAGREEMENT:
-            return None
-        return T_ab @ se3.se3_exp(step), joint
+        return bool(apart @ surfaces @ (apart - step) <= _DISAGREEMENT)
 
     def _cloud(self, surface: Surface) -> Cloud:
         points, quats, spreads = self._arrays(surface)
