@@ -56,6 +56,7 @@ SCRATCH = {
     "Aligner._observed",
     "Aligner._depth_noise",
     "Aligner._folded",
+    "Descent._folded",
     "Aligner._sums",
     "Aligner._system",
     "Descent._pose_moments",

@@ -26,6 +26,7 @@ import zipfile
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from damages import DAMAGES, Canary
@@ -202,7 +203,8 @@ class Campaign:
     def checkpoint_case(self, folder: Path) -> tuple[bool, str]:
         """Damage the file, or what it says: then its checksum is right."""
         record: dict[str, object] = {"frames": 2, "wall_s": 1.5, "refine_iterations": 0}
-        tree = {"target": "o", "linked": False, "config": self.run["config.toml"].decode(), "record": record}
+        tree: dict[str, Any] = {"target": "o", "linked": False, "earlier": None, "record": record}
+        tree["config"] = self.run["config.toml"].decode()
         path = folder / "checkpoints/000001.safetensors"
         path.parent.mkdir()
         if self.rng.random() < 0.5:
