@@ -21,7 +21,7 @@ from ggwarp.geometry.voxels import voxel_keys
 from ggwarp.io.guarded import FileError
 from ggwarp.kernels.registration import covariance
 from ggwarp.map.gaussians import Gaussians
-from ggwarp.pipeline.tracking.preprocess import NEIGHBOURS, SLIP, ObservationConfig
+from ggwarp.pipeline.tracking.preprocess import NEIGHBOURS, ObservationConfig, plane_spreads
 from ggwarp.results.checkpoints import FoundRun
 from ggwarp.results.frame_table import read_frames
 from ggwarp.results.saved_run import SavedRun
@@ -90,15 +90,7 @@ def surface_points(
         rows = wp.array(neighbours.reshape(count, -1).astype(np.int32), dtype=int, device=device)
         covariance.estimate_covariances(on_device, on_device, rows, quats=quats, scales=scales, device=device)
         share = float(np.median(to_host(scales)[:, 2] / noise))
-        covariance.plane_scales(
-            scales,
-            noise=wp.array(noise, dtype=float, device=device),
-            noise_share=share,
-            neighbours=NEIGHBOURS,
-            slip=SLIP,
-            scales=spreads,
-            device=device,
-        )
+        spreads = plane_spreads(scales, noise, share, device)
     unmatched = np.full(count, np.inf, np.float32)
     return FramePoints(points.astype(np.float32), to_host(quats), to_host(spreads), noise, unmatched)
 

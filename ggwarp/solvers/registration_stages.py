@@ -76,6 +76,14 @@ def coarse_to_fine_stages(spacing: float, residual_scale: float = 1.0) -> list[R
     return [*stages, RegistrationStage(fine, fine_iterations, _TOLERANCE, min(_ROBUST_SCALE, seen))]
 
 
+def cell_size(spacing: float) -> float:
+    """Return the size of a target's grid cells, metres, for clouds whose points lie ``spacing`` metres apart.
+
+    Points without a match look through every cell in reach: a bound keeps these few.
+    """
+    return max(2.5 * spacing, RADII[0] / 8.0)
+
+
 def scaled_information(registration: Registration) -> Float64:
     """Return what a registration of a frame says of the pose [6, 6], at its residuals' own scale."""
     across, scale = registration.across, registration.residual_scale

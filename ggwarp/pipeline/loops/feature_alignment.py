@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
+from ggwarp.pipeline.loops.features import Features, match_features
+from ggwarp.pipeline.loops.pose_graph import is_positive
 from ggwarp.types import Float64
 
 DepthNoise = Callable[[Any], Any]
@@ -24,6 +26,9 @@ DepthNoise = Callable[[Any], Any]
 
 _HYPOTHESES = 400
 """With a third of the matches right, three right ones are drawn 15 times in so many."""
+
+_INLIER_SHARE = 0.3
+"""Matches that agree are at least so many of all."""
 
 _INLIER = 3.0
 """A match agrees with a motion that leaves it within so many standard deviations."""
@@ -98,6 +103,23 @@ class FeatureAligner:
             T, information = self._step(T, pixels_a[inliers], points_a[inliers], points_b[inliers])
             inliers = self._errors2(se3.transform_points(T, points_b), pixels_a, points_a) < _INLIER**2
         return FeatureAlignment(T, _CORRELATION * information, inliers)
+
+    def align_features(
+        self, one: Features, other: Features, *, least: int, seed: tuple[int, ...]
+    ) -> FeatureAlignment | None:
+        """Return the motion between two keyframes by their features; None where it is not fixed by these.
+
+        Args:
+            least: so many matches must agree, and three in ten.
+            seed: of the random draws.
+        """
+        rows, columns = match_features(one, other).T
+        if len(rows) < least:
+            return None
+        found = self.align(one.pixels[rows], one.points[rows], other.points[columns], seed=seed)
+        if found is None or found.count < max(least, _INLIER_SHARE * len(rows)):
+            return None
+        return found if is_positive(found.information) else None  # features in a line or a spot
 
     def _residuals(self, moved: Float64, pixels_a: Float64, points_a: Float64) -> Float64:
         """Return [..., m, 3] what is left of each match, in standard deviations: u, v, depth."""

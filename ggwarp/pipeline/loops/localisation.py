@@ -18,9 +18,8 @@ import numpy as np
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from ggwarp.pipeline.loops.feature_alignment import FeatureAligner, FeatureAlignment
-from ggwarp.pipeline.loops.features import FeatureExtractor, Features, match_features
+from ggwarp.pipeline.loops.features import FeatureExtractor, Features
 from ggwarp.pipeline.loops.places import Place
-from ggwarp.pipeline.loops.pose_graph import is_positive
 from ggwarp.pipeline.loops.recognition import VisualIndex
 from ggwarp.pipeline.tracking.gicp import GicpTracker
 from ggwarp.pipeline.tracking.preprocess import observe
@@ -28,14 +27,14 @@ from ggwarp.pipeline.tracking.relocalisation import SmallViews
 from ggwarp.pipeline.tracking.tracker import Tracker, TrackingConfig
 from ggwarp.runtime.state import Stateful, state_value
 from ggwarp.solvers.registration import Registrar, build_target
-from ggwarp.solvers.registration_stages import RADII, register_coarse_to_fine, scaled_information
+from ggwarp.solvers.registration_stages import cell_size, register_coarse_to_fine, scaled_information
 from ggwarp.types import Float64, Frame, MapSnapshot, Rendered, TrackResult, Verdict
 
 _ALIKE = 20
 """So many views are compared with a frame by their features, those that look most alike."""
 
-_INLIERS, _INLIER_SHARE = 12, 0.3
-"""Matched features that agree, at least, and their share of the matches."""
+_INLIERS = 12
+"""Matched features that agree, at least."""
 
 _TRIED = 3
 """So many places are registered at most, those with most matches."""
@@ -222,18 +221,10 @@ class Localiser(Stateful):
         found = []
         for number in alike.tolist():
             place = self._places[number]
-            rows, columns = match_features(place.features, features).T
-            if len(rows) < _INLIERS:
-                continue
-            motion = self._aligner.align(
-                place.features.pixels[rows],
-                place.features.points[rows],
-                features.points[columns],
-                seed=(number, len(features)),
+            motion = self._aligner.align_features(
+                place.features, features, least=_INLIERS, seed=(number, len(features))
             )
-            if motion is None or motion.count < max(_INLIERS, _INLIER_SHARE * len(rows)):
-                continue
-            if is_positive(motion.information):  # no features in a line or a spot
+            if motion is not None:
                 found.append(_Match(place, motion))
         return sorted(found, key=lambda m: -m.found.count)
 
@@ -269,7 +260,7 @@ class Localiser(Stateful):
             target.means,
             target.quats,
             target.scales,
-            cell_size=max(2.5 * seen.spacing, RADII[0] / 8.0),
+            cell_size=cell_size(seen.spacing),
             device=self._device,
         )
         registrar = Registrar(device=self._device)

@@ -20,9 +20,9 @@ from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from ggwarp.geometry.pose_correction import PoseCorrection
 from ggwarp.pipeline.loops.feature_alignment import DepthNoise, FeatureAligner, FeatureAlignment
-from ggwarp.pipeline.loops.features import FeatureExtractor, match_features
+from ggwarp.pipeline.loops.features import FeatureExtractor
 from ggwarp.pipeline.loops.places import SEPARATE, Place, candidates, far_enough
-from ggwarp.pipeline.loops.pose_graph import MeasuredMotion, is_positive, optimise_poses
+from ggwarp.pipeline.loops.pose_graph import MeasuredMotion, optimise_poses
 from ggwarp.pipeline.loops.recognition import VisualIndex
 from ggwarp.pipeline.loops.surface_registration import Surface, SurfaceRegistration
 from ggwarp.pipeline.tracking.relocalisation import SmallViews
@@ -31,9 +31,6 @@ from ggwarp.types import Float64, Frame, TrackResult, Verdict
 
 _NEIGHBOUR_INLIERS, _INLIERS = 10, 20
 """Matched features that agree, at least: between neighbours in time, and between others."""
-
-_INLIER_SHARE = 0.3
-"""Their share of the matches, at least."""
 
 _LOOSENESS = 0.002
 """What no measurement between two keyframes is better than, metres and radians: calibration, rolling shutter,
@@ -224,14 +221,7 @@ class LoopCloser(Stateful):
     def _aligned(self, a: int, b: int, least: int) -> FeatureAlignment | None:
         """Return the motion between two places by their features; None where too few agree."""
         one, other = self._places[a].features, self._places[b].features
-        matches = match_features(one, other)
-        if len(matches) < least:
-            return None
-        rows, columns = matches.T
-        found = self._aligner.align(one.pixels[rows], one.points[rows], other.points[columns], seed=(a, b))
-        if found is None or found.count < max(least, _INLIER_SHARE * len(matches)):
-            return None
-        return found if is_positive(found.information) else None  # features in a line or a spot
+        return self._aligner.align_features(one, other, least=least, seed=(a, b))
 
     def _looks_true(self, motion: MeasuredMotion) -> bool:
         """Whether the two views, so placed, neither see through each other nor look different."""

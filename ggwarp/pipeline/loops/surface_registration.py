@@ -21,14 +21,16 @@ from ggwarp.pipeline.tracking.preprocess import ObservationConfig, observe
 from ggwarp.runtime.state import Stateful, state_value
 from ggwarp.runtime.streams import to_host
 from ggwarp.solvers.registration import Cloud, Registrar, RegistrationTarget, build_target
-from ggwarp.solvers.registration_stages import RADII, register_coarse_to_fine, scaled_information
+from ggwarp.solvers.registration_stages import (
+    RADII,
+    cell_size,
+    register_coarse_to_fine,
+    scaled_information,
+)
 from ggwarp.types import Float32, Float64, FramePoints
 
 _KEPT = 1500
 """Points of a keyframe that are kept, at least, where there are so many: 40 bytes each, for a veto."""
-
-_CELL_SPACINGS = 2.5
-"""Size of the search grid's cells, spacings."""
 
 _LEAST_SHARED = 0.2
 """Share of a keyframe's points that have another's near, at least: as many as tracking asks of a frame."""
@@ -119,9 +121,8 @@ class SurfaceRegistration(Stateful):
         return Cloud(points, covariances)
 
     def _target(self, surface: Surface) -> RegistrationTarget:
-        # As for tracking: points without a match look through every cell in reach.
-        cell_size = max(_CELL_SPACINGS * surface.spacing, RADII[0] / 8.0)
-        return build_target(*self._arrays(surface), cell_size=cell_size, device=self._device)
+        size = cell_size(surface.spacing)
+        return build_target(*self._arrays(surface), cell_size=size, device=self._device)
 
     def _arrays(self, surface: Surface) -> list[Any]:
         columns = ((surface.points, wp.vec3), (surface.quats, wp.vec4), (surface.spreads, wp.vec3))

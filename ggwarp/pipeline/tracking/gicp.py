@@ -24,7 +24,7 @@ from ggwarp.solvers.registration import (
     build_target,
     match_distances2,
 )
-from ggwarp.solvers.registration_stages import RADII, REACH, register_coarse_to_fine, scaled_information
+from ggwarp.solvers.registration_stages import REACH, cell_size, register_coarse_to_fine, scaled_information
 from ggwarp.types import Float32, Float64, Frame, FramePoints, MapSnapshot, TrackResult, Verdict, overlap_of
 
 OVERLAP_DISTANCE = 0.0316
@@ -197,8 +197,7 @@ class GicpTracker(Stateful):
     def _aim(self, target: MapSnapshot, spacing: float) -> None:
         """Prepare the map for registration, unless it is the one already prepared."""
         if target.version != self._target_version:
-            # Points without a match look through every cell in reach: a bound keeps these few.
-            self._cell_size = max(2.5 * spacing, RADII[0] / 8.0)
+            self._cell_size = cell_size(spacing)
             self._target_version, self._target = target.version, None
         if self._target is None:
             self._target = build_target(

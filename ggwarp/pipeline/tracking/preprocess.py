@@ -16,7 +16,7 @@ from ggwarp.runtime.streams import to_host
 from ggwarp.solvers.registration import Cloud
 from ggwarp.types import Float32
 
-SLIP = 1.0
+_SLIP = 1.0
 """Largest standard deviation along a surface, metres: how freely matched patches slide along each other."""
 
 _NEAR = 0.1
@@ -139,7 +139,7 @@ def observe(
     noise_share = measured_noise(
         to_host(points), to_host(quats), to_host(scales), to_host(pixels), stride, noise
     )
-    spreads = _spreads(scales, noise, noise_share, device)
+    spreads = plane_spreads(scales, noise, noise_share, device)
     covariances = _empty(n, wp.mat33, device)
     covariance.build_covariances(quats, spreads, covariances=covariances, device=device)
     cloud = Cloud(points, covariances)
@@ -174,14 +174,20 @@ def fit_ellipses(
     return quats, scales
 
 
-def _spreads(scales: Any, noise: Float32, noise_share: float, device: Any) -> Any:
+def plane_spreads(scales: Any, noise: Float32, noise_share: float, device: Any) -> Any:
+    """Return what matches trust points by, [n] wp.vec3: along and across the surface, metres.
+
+    Args:
+        scales: [n] wp.vec3, of the ellipses fitted to neighbourhoods, metres, falling.
+        noise, noise_share: see :class:`Observation`.
+    """
     spreads = _empty(scales.shape[0], wp.vec3, device)
     covariance.plane_scales(
         scales,
         noise=wp.array(noise, dtype=float, device=device),
         noise_share=noise_share,
         neighbours=NEIGHBOURS,
-        slip=SLIP,
+        slip=_SLIP,
         scales=spreads,
         device=device,
     )
