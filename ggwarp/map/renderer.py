@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from ggwarp.kernels.raster.composite import composite, composite_adjoint
 from ggwarp.kernels.raster.project import project
 from ggwarp.kernels.raster.project_adjoint import pose_levels, project_adjoint
 from ggwarp.kernels.raster.sampling import Sample
+from ggwarp.kernels.raster.thinning import thin_planes
 from ggwarp.kernels.raster.tiles import TILE, TileCapacityError, bin_splats
 from ggwarp.kernels.raster.tiles_parallel import PEAK
 from ggwarp.kernels.workspaces import allocate_slot_gradients, allocate_splats, allocate_tiles
@@ -32,6 +34,20 @@ _GROWTH = 1.5
 def padded(size: int) -> int:
     """Return ``size`` rounded up to whole tiles."""
     return -(-size // int(TILE)) * int(TILE)
+
+
+@dataclass(frozen=True)
+class Planes:
+    """A render, or every n-th pixel of one, on the device, padded to whole tiles.
+
+    Attributes:
+        image: [C, Hp, Wp] float: colour, depth, identity.
+        transmittance, median_depth: [Hp, Wp] float.
+    """
+
+    image: Any
+    transmittance: Any
+    median_depth: Any
 
 
 class Renderer(Stateful):
@@ -79,6 +95,7 @@ class Renderer(Stateful):
         self.d_pose = wp.zeros(1, dtype=row, device=self._device)
         self._sample: Sample | None = None
         self._pose: tuple[wp.array, ...] = ()
+        self._thinned: dict[tuple[int, int], Planes] = {}
         self._capacity = 0
         self.allocation = 0
         self._reserve()
@@ -200,15 +217,45 @@ class Renderer(Stateful):
         """Return a copy of a plane or image, without its padding."""
         return to_host(array)[..., : self.camera.height, : self.camera.width].copy()
 
-    def picture(self) -> Rendered:
-        """Return the last render on the host, without identities."""
-        image = self.plane(self.image[:4])
+    def picture(self, step: int = 1) -> Rendered:
+        """Return the last render on the host, every ``step``-th pixel of it, without identities."""
+        few = self.thinned(step, channels=4)
+        h, w = (len(range(step // 2, size, step)) for size in (self.camera.height, self.camera.width))
+        image, transmittance, median_depth = (to_host(plane)[..., :h, :w] for plane in vars(few).values())
         return Rendered(
             rgb=np.ascontiguousarray(np.clip(image[:3], 0.0, 1.0).transpose(1, 2, 0)),
-            depth=image[3],
-            median_depth=self.plane(self.median_depth),
-            opacity=np.float32(1.0) - self.plane(self.transmittance),
+            depth=image[3].copy(),
+            median_depth=median_depth.copy(),
+            opacity=np.float32(1.0) - transmittance,
         )
+
+    @property
+    def planes(self) -> Planes:
+        """The last render."""
+        return Planes(self.image, self.transmittance, self.median_depth)
+
+    def thinned(self, step: int, *, channels: int | None = None) -> Planes:
+        """Return every ``step``-th pixel of the last render, on the device, until the next call.
+
+        Args:
+            channels: so many of the image's; None: all.
+        """
+        whole = Planes(self.image[:channels], self.transmittance, self.median_depth)
+        if step == 1:
+            return whole
+        key = step, whole.image.shape[0]
+        if key not in self._thinned:
+            shape = tuple(padded(len(range(step // 2, size, step))) for size in self.transmittance.shape)
+            self._thinned[key] = Planes(
+                *(
+                    wp.empty((*a.shape[:-2], *shape), dtype=float, device=self._device)
+                    for a in vars(whole).values()
+                )
+            )
+        few = self._thinned[key]
+        for source, out in zip(vars(whole).values(), vars(few).values(), strict=True):
+            thin_planes(_stacked(source), step=step, out=_stacked(out), device=self._device)
+        return few
 
     def identity(self) -> Float32:
         """Return the identities [h, w, 16] of the last render on the host: far more than its picture."""
@@ -273,3 +320,8 @@ class Renderer(Stateful):
         )
         self._slots: Any = allocate_slot_gradients(slots, self._channels, device=self._device)
         self.allocation += 1
+
+
+def _stacked(planes: Any) -> Any:
+    """Return one plane [H, W] as [1, H, W], and several as they are."""
+    return planes if planes.ndim == 3 else planes.reshape((1, *planes.shape))

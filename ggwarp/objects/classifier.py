@@ -226,16 +226,18 @@ class Classifier(Stateful):
 
     def classify_image(self, image: wp.array, height: int, width: int) -> tuple[NDArray[np.int32], Float32]:
         """Return the likeliest class of each pixel of a render [20, Hp, Wp], and its probability."""
+        return _on_host(self.classify_on_device(image, height, width))
+
+    def classify_on_device(self, image: wp.array, height: int, width: int) -> tuple[Any, Any]:
+        """As :meth:`classify_image`, but [h, w] int and float stay on the device."""
         return self._classified(classify_pixels, image, height, width)
 
     def classify_map(self) -> tuple[NDArray[np.int32], Float32]:
         """Return [n] the likeliest class of each Gaussian and [n] its probability."""
         n = self._map.count
-        return self._classified(classify_gaussians, self._map.fields["identities"][:n], n)
+        return _on_host(self._classified(classify_gaussians, self._map.fields["identities"][:n], n))
 
-    def _classified(
-        self, classify: Callable[..., None], identities: Any, *shape: int
-    ) -> tuple[NDArray[np.int32], Float32]:
+    def _classified(self, classify: Callable[..., None], identities: Any, *shape: int) -> tuple[Any, Any]:
         labels = wp.empty(shape, dtype=int, device=self._device)
         probabilities = wp.empty(shape, dtype=float, device=self._device)
         classify(
@@ -247,7 +249,7 @@ class Classifier(Stateful):
             probabilities=probabilities,
             device=self._device,
         )
-        return np.asarray(to_host(labels), np.int32), np.asarray(to_host(probabilities), np.float32)
+        return labels, probabilities
 
     def to_host(self) -> tuple[Float32, Float32]:
         """Return copies of W [count, 16] and b [count]."""
@@ -277,3 +279,8 @@ class Classifier(Stateful):
             grown = to_host(array).copy()
             grown[tuple(slice(s) for s in values.shape)] = values
             array.assign(grown)
+
+
+def _on_host(classified: tuple[Any, Any]) -> tuple[NDArray[np.int32], Float32]:
+    labels, probabilities = classified
+    return np.asarray(to_host(labels), np.int32), np.asarray(to_host(probabilities), np.float32)

@@ -3,22 +3,21 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import warp as wp
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from ggwarp.kernels.camera import intrinsics_of
+from ggwarp.kernels.identity.knowledge import LEVELS, NOTHING, KnowledgeLimits, tell_knowledge
 from ggwarp.kernels.identity.label_fusion import fuse_labels, gather_evidence
 from ggwarp.kernels.math import vec16
 from ggwarp.map.gaussian_map import GaussianMap
-from ggwarp.objects.class_table import IGNORED
+from ggwarp.map.renderer import Planes
+from ggwarp.objects.class_table import IGNORED, ClassTable
 from ggwarp.objects.classifier import Classifier
-from ggwarp.objects.labels import Labels
-from ggwarp.objects.mask_view import MapKnowledge, MaskView, PosedDepth
+from ggwarp.objects.masks.mask_view import MapKnowledge, MaskView, PosedDepth
 from ggwarp.runtime.streams import to_host
-from ggwarp.types import Float32, Rendered
 
 _DEPTH_TOLERANCE = 0.03  # a frame shows a Gaussian where their depths agree to this share
 _OPAQUE = 0.5
@@ -35,6 +34,7 @@ class GaussianVotes:
         self,
         camera: Camera,
         gaussians: GaussianMap,
+        classes: ClassTable,
         classifier: Classifier,
         *,
         votes: int,
@@ -42,25 +42,28 @@ class GaussianVotes:
         """Prepare to count.
 
         Args:
-            camera: of the frames.
+            camera: of the frames' pixels that count.
+            classes: says which classes are one object.
             classifier: has the codes of all classes that masks show.
             votes: of a Gaussian that its identity is the mean of, at most.
         """
         self._map = gaussians
+        self._classes = classes
         self._classifier = classifier
         self._votes = votes
         self._device = gaussians.device
         self._intrinsics = intrinsics_of(camera)
+        self._limits = KnowledgeLimits()
+        self._limits.tolerance, self._limits.opacity = _DEPTH_TOLERANCE, _OPAQUE
+        self._limits.probability = _PROBABLE
+        self._limits.known, self._limits.certain = _KNOWN_VOTES, _CERTAIN_VOTES
 
-    def look(self, surface: PosedDepth, rendered: Rendered) -> MapKnowledge:
-        """Return what the map knows of ``surface``; ``rendered`` is its view from there."""
-        assert rendered.confidence is not None
-        seen = seen_classes(surface.depth, rendered)
-        probable = np.where(rendered.confidence >= _PROBABLE, seen, IGNORED)
+    def look(self, surface: PosedDepth, rendered: Planes) -> MapKnowledge:
+        """Return what the map knows of ``surface``; ``rendered`` is its view from there, with identities."""
         inverse = se3.inverse(surface.T_wc).astype(np.float32)
         T_cw = wp.array(inverse[None], dtype=wp.mat44, device=self._device)
         depth = wp.array(surface.depth, dtype=float, device=self._device)
-        counts = wp.empty(depth.shape, dtype=int, device=self._device)
+        votes, numbers = (wp.empty(depth.shape, dtype=int, device=self._device) for _ in range(2))
         gather_evidence(
             self._map.fields["means"],
             self._map.fields["votes"],
@@ -69,13 +72,26 @@ class GaussianVotes:
             camera=self._intrinsics,
             depth=depth,
             tolerance=_DEPTH_TOLERANCE,
-            evidence=counts,
+            evidence=votes,
             device=self._device,
         )
-        # Centres are sparser than pixels.
-        votes = cv2.dilate(to_host(counts).astype(np.uint8), np.ones((3, 3), np.uint8))
+        classes, probabilities = self._classifier.classify_on_device(rendered.image, *depth.shape)
+        tell_knowledge(
+            self._limits,
+            depth=depth,
+            median_depth=rendered.median_depth,
+            transmittance=rendered.transmittance,
+            classes=classes,
+            probabilities=probabilities,
+            votes=votes,
+            out=numbers,
+            device=self._device,
+        )
+        told = to_host(numbers)
+        classes, level = np.divmod(told, np.int32(LEVELS))
+        seen = self._classes.merged(np.where(told == NOTHING, np.int32(IGNORED), classes))
         known, certain = (
-            np.where(votes >= least, probable, IGNORED) for least in (_KNOWN_VOTES, _CERTAIN_VOTES)
+            np.where((level >= least) & (seen >= 0), seen, np.int32(IGNORED)) for least in (1, 2)
         )
         return MapKnowledge(seen, known, certain, T_cw, depth)
 
@@ -99,11 +115,3 @@ class GaussianVotes:
             votes=self._map.fields["votes"],
             device=self._device,
         )
-
-
-def seen_classes(depth: Float32, rendered: Rendered) -> Labels:
-    """Return [h, w] the map's class where it shows the surface at ``depth`` [h, w], else negative."""
-    assert rendered.classes is not None
-    same = np.abs(rendered.median_depth - depth) <= _DEPTH_TOLERANCE * depth
-    shown = same & (depth > 0.0) & (rendered.opacity > _OPAQUE)
-    return np.where(shown, rendered.classes, IGNORED)

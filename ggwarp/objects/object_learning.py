@@ -12,14 +12,19 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ggwarp.geometry.camera import Camera
+from ggwarp.geometry.pixel_grid import PixelGrid
 from ggwarp.map.gaussian_map import GaussianMap
 from ggwarp.map.gaussians import Gaussians
+from ggwarp.map.renderer import Planes, Renderer
 from ggwarp.objects.class_table import IGNORED, NO_OBJECT, ClassTable
 from ggwarp.objects.classifier import Classifier, ClassifierConfig, IdentitySeeds
 from ggwarp.objects.inventory import ObjectRecord, inventory
 from ggwarp.objects.labels import Labels
 from ggwarp.objects.linear_classifier import LinearClassifier
-from ggwarp.objects.mask_supervision import ObjectSupervision, SupervisionConfig
+from ggwarp.objects.masks.keyframe_labels import KeyframeLabels
+from ggwarp.objects.masks.label_grid import changed, of_mask
+from ggwarp.objects.masks.mask_supervision import ObjectSupervision, SupervisionConfig
+from ggwarp.objects.masks.mask_view import LabelTargets, PosedDepth
 from ggwarp.objects.visibility import ObjectVisibility
 from ggwarp.runtime.state import Stateful
 from ggwarp.types import Float32, Float64, Frame, Rendered
@@ -34,6 +39,7 @@ class ObjectLearning(Stateful):
     Attributes:
         classes: the masks' ids as classes.
         classifier: identity -> class.
+        grid: the pixels of frames that are looked at.
         visibility: which keyframes showed which class.
         voting_indices: frames whose mask voted, but that were not mapped.
     """
@@ -44,6 +50,7 @@ class ObjectLearning(Stateful):
         "visibility",
         "voting_indices",
         "_supervision",
+        "_keyframe_labels",
         "_other_frames",
         "_told",
         "_frames",
@@ -72,9 +79,11 @@ class ObjectLearning(Stateful):
         self.classifier = Classifier(classifier, gaussians, seed=seed)
         self.visibility = ObjectVisibility()
         self.voting_indices: list[int] = []
+        self.grid = PixelGrid.of(camera)
         self._supervision = ObjectSupervision(
-            config, camera, gaussians, self.classes, self.classifier, tracked=tracked_masks
+            config, self.grid.camera, gaussians, self.classes, self.classifier, tracked=tracked_masks
         )
+        self._keyframe_labels = KeyframeLabels(self.classes, self.grid)
         self._other_frames = self._frames = 0
         self._told: dict[int, dict[str, Any]] = {}  # by an earlier map's list of objects
 
@@ -105,25 +114,31 @@ class ObjectLearning(Stateful):
         return np.where(sure, rendered.classes, np.int32(IGNORED))
 
     def supervise_keyframe(
-        self, frame: Frame, T_wc: Float64, rendered: Rendered | None
+        self, frame: Frame, T_wc: Float64, renderer: Renderer | None
     ) -> tuple[IdentitySeeds, Labels | None]:
         """Take in a keyframe's mask.
 
         Args:
             frame: with depth.
             T_wc: [4, 4] its pose.
-            rendered: the map's view from there; None while the map is empty.
+            renderer: has rendered the map from there; None while the map is empty.
 
         Returns:
             What new Gaussians begin as, and [h, w] the class that the rendered identity should have, negative
             for any; None: the frame says nothing of objects.
         """
-        targets = self._supervision.supervise(frame, T_wc, rendered)
-        if targets is None:
+        assert frame.depth is not None
+        few = self._supervise(frame, T_wc, renderer, keep=True)
+        if few is None:
             return IdentitySeeds(self.classifier.codes), None
-        self.visibility.add(frame.index, targets.votes)
-        seeds = IdentitySeeds(self.classifier.codes, targets.seeds, targets.votes)
-        return seeds, None if frame.mask is None else targets.training
+        grid, mask, shape = self.grid, frame.mask, frame.depth.shape
+        votes = grid.spread(few.votes, shape) if mask is None else of_mask(grid, few.votes, mask)
+        seeds = IdentitySeeds(self.classifier.codes, changed(grid, votes, few.seeds), votes)
+        self.visibility.add(frame.index, few.votes)
+        if mask is None:
+            return seeds, None
+        self._keyframe_labels.keep(frame.index, votes)
+        return seeds, changed(grid, votes, few.training)
 
     def vote_is_due(self, frame: Frame, newest: int) -> bool:
         """Return whether ``frame`` is to vote though it is no keyframe; ask once for every frame, in order.
@@ -137,9 +152,9 @@ class ObjectLearning(Stateful):
         self._other_frames += 1
         return self._other_frames % c.vote_interval != 0
 
-    def vote(self, frame: Frame, T_wc: Float64, rendered: Rendered) -> None:
+    def vote(self, frame: Frame, T_wc: Float64, renderer: Renderer) -> None:
         """Let the mask of a frame vote that is no keyframe; arguments as of :meth:`supervise_keyframe`."""
-        self._supervision.supervise(frame, T_wc, rendered, keep=False)
+        self._supervise(frame, T_wc, renderer, keep=False)
         self.voting_indices.append(frame.index)
 
     def keyframe_to_relabel(self, keyframes: int) -> int | None:
@@ -152,9 +167,34 @@ class ObjectLearning(Stateful):
             return None
         return self._frames // interval % keyframes
 
-    def relabel(self, index: int, depth: Float32, T_wc: Float64, rendered: Rendered) -> Labels | None:
-        """See :meth:`ggwarp.objects.mask_supervision.ObjectSupervision.relabel`."""
-        return self._supervision.relabel(index, depth, T_wc, rendered)
+    def relabel(self, index: int, depth: Float32, T_wc: Float64, renderer: Renderer) -> Labels | None:
+        """Return what a past keyframe is to be fitted to as the map sees it by now; None: as it is.
+
+        Args:
+            index: its frame's.
+            depth: [gh, gw] metres, at the grid's pixels.
+            T_wc: [4, 4] its pose.
+            renderer: has rendered the map from there.
+
+        Returns:
+            [h, w] the class of each pixel; negative: any.
+        """
+        surface = PosedDepth(depth, T_wc, self.grid.camera)
+        few = self._supervision.relabel(index, surface, self._few(renderer))
+        shape = renderer.camera.height, renderer.camera.width
+        return None if few is None else self._keyframe_labels.relabelled(index, few, shape)
+
+    def _supervise(
+        self, frame: Frame, T_wc: Float64, renderer: Renderer | None, *, keep: bool
+    ) -> LabelTargets | None:
+        assert frame.depth is not None
+        surface = PosedDepth(self.grid.thinned(frame.depth), T_wc, self.grid.camera)
+        mask = None if frame.mask is None else self.grid.thinned(frame.mask)
+        rendered = None if renderer is None else self._few(renderer)
+        return self._supervision.supervise(frame.index, surface, mask, rendered, keep=keep)
+
+    def _few(self, renderer: Renderer) -> Planes:
+        return renderer.thinned(self.grid.step)
 
     def add_classes(self, rendered: Rendered, image: wp.array) -> Rendered:
         """Return ``rendered`` with the classes that it shows; ``image`` [20, Hp, Wp] is it on the device."""

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ggwarp.geometry.camera import Camera
-from ggwarp.objects.mask_view import PosedDepth
+from ggwarp.objects.masks.mask_view import PosedDepth
 
 View = tuple[PosedDepth, np.ndarray]
 

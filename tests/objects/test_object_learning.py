@@ -11,7 +11,7 @@ from ggwarp.map.gaussian_map import GaussianMap
 from ggwarp.map.gaussians import Gaussians
 from ggwarp.objects.classifier import ClassifierConfig
 from ggwarp.objects.inventory import inventory
-from ggwarp.objects.mask_supervision import SupervisionConfig
+from ggwarp.objects.masks.mask_supervision import SupervisionConfig
 from ggwarp.objects.object_learning import ObjectLearning
 from ggwarp.types import Frame
 

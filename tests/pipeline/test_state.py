@@ -34,6 +34,8 @@ SCRATCH = {
     "Renderer._slots",
     "Renderer._pose",
     "Renderer._sample",
+    "Renderer._thinned",
+    "Seeder._workspace",
     "Sample.phase",
     "GaussianOptimiser._workspace",
     "ExposureModel._workspace",
@@ -144,7 +146,7 @@ def saved_and_restored(slam: Slam, path: Path) -> Slam:
 def frames_of(config: SlamConfig) -> list[Frame]:
     """Return frames that the tracker can follow, and that hold several keyframes."""
     if config.mono:  # the start, and a few frames more
-        indices = range(100, 112)
+        indices = range(100, 110)
     else:
         # A descent renders many times.
         few = config.refinement.method == "descent"

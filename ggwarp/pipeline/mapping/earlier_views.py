@@ -38,7 +38,7 @@ class EarlierViews(Stateful):
         What it and another one see through is bound by no view any more, and its Gaussians go.
         """
         for number, pixels in self._gone.add(depth, T_wc).items():
-            surface = to_host(self._keyframes.depth(number)).copy()
+            surface = self._keyframes.depth(number).copy()
             if self._keyframes.leave_out(number, pixels):
                 self._drop_gaussians(number, pixels, surface)
 

@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 from ggwarp.geometry import se3
 from ggwarp.kernels.losses.pixel_lines import BYTE_WEIGHT
 from ggwarp.kernels.math import vec6
+from ggwarp.kernels.raster.thinning import thin_planes
 from ggwarp.objects.labels import as_png, from_png
 from ggwarp.runtime.image_store import ImageStore
 from ggwarp.runtime.state import FrameSource, State, Stateful, frame_checksum, into_array, reread
 from ggwarp.runtime.streams import to_host
-from ggwarp.types import Exposure, Float64, Frame
+from ggwarp.types import Exposure, Float32, Float64, Frame
 
 _NEUTRAL = Exposure()
 
@@ -178,9 +179,15 @@ class Keyframes(Sequence[Keyframe], Stateful):
             if (image := getattr(keyframe, name)) is not None:
                 self._images.put((number, name), image)
 
-    def depth(self, number: int) -> wp.array:
-        """Return the depth [h, w] of keyframe ``number``."""
-        return self._images.get((number, "depth"))
+    def depth(self, number: int, *, step: int = 1) -> Float32:
+        """Return every ``step``-th pixel of a row and column of keyframe ``number``'s depth, metres."""
+        depth = self._images.get((number, "depth"))
+        if step > 1:
+            shape = tuple(len(range(step // 2, size, step)) for size in depth.shape)
+            few = wp.empty((1, *shape), dtype=float, device=depth.device)
+            thin_planes(depth.reshape((1, *depth.shape)), step=step, out=few, device=depth.device)
+            depth = few[0]
+        return to_host(depth)
 
     def label(self, number: int, labels: NDArray[np.int32]) -> None:
         """Replace the labels of keyframe ``number`` by ``labels`` [h, w], if it has any."""

@@ -10,13 +10,13 @@ import numpy as np
 import warp as wp
 
 from ggwarp.geometry import se3
+from ggwarp.geometry.pixel_grid import PixelGrid
 from ggwarp.geometry.pose_correction import PoseCorrection
 from ggwarp.map.covisibility import Covisibility
 from ggwarp.map.gaussian_map import GaussianMap
 from ggwarp.map.gaussians import Gaussians
 from ggwarp.map.renderer import Renderer
-from ggwarp.map.surface_density import surface_density
-from ggwarp.objects.mask_supervision import SupervisionConfig
+from ggwarp.objects.masks.mask_supervision import SupervisionConfig
 from ggwarp.objects.object_learning import ObjectLearning
 from ggwarp.pipeline.mapping.densification import RESET_OPACITY, lower_opacities
 from ggwarp.pipeline.mapping.depth_completion import DepthCompletion
@@ -26,12 +26,7 @@ from ggwarp.pipeline.mapping.keyframe import Keyframes, upload
 from ggwarp.pipeline.mapping.keyframe_sampler import KeyframeSampler
 from ggwarp.pipeline.mapping.optimiser import MapOptimiser, OptimiserConfig
 from ggwarp.pipeline.mapping.passed_over import PassedOver
-from ggwarp.pipeline.mapping.seeding import (
-    DEPTH_TOLERANCE,
-    SeedingConfig,
-    seed_density,
-    seed_gaussians,
-)
+from ggwarp.pipeline.mapping.seeding import Seeder, SeedingConfig, Seen
 from ggwarp.pipeline.mapping.unusable_pictures import unusable
 from ggwarp.pipeline.moving_pixels import Bools, MovingPixels, without_pixels
 from ggwarp.runtime.state import Stateful
@@ -120,6 +115,8 @@ class Mapper(Stateful):
         self.covisibility = covisibility
         self._exposures = exposures
         self._depth_completion = depth_completion
+        self._seeder = Seeder(config.seeding, renderer.camera, gaussians, flat=depth_completion is None)
+        self._grid = PixelGrid.of(renderer.camera)
         # Depth that is an estimate proves nothing.
         self._moving = MovingPixels(renderer.camera) if depth_completion is None else None
         self.refused = False
@@ -164,13 +161,16 @@ class Mapper(Stateful):
         return not self.refused
 
     def _insert(self, frame: Frame, T_wc: Float64, exposure: Exposure | None = None) -> bool:
-        rendered = self._look(T_wc) if self.map.count else None
+        if seen := self.map.count > 0:
+            self._renderer.render(T_wc)
         measured, wrong = frame, None  # what is contradicted stays in the picture, but does not count
         if self._moving is not None:
-            wrong = self._contradicting(frame, T_wc, rendered, self._moving)
+            wrong = self._contradicting(frame, T_wc, self._moving)
             if wrong is None:
                 return False
             frame = without_pixels(frame, wrong)
+        estimating = self._depth_completion is not None or self._exposures is not None
+        rendered = self._renderer.picture() if seen and estimating else None
         if self._depth_completion is not None:
             frame = self._depth_completion.complete(frame, T_wc, rendered)
             measured = replace(frame, depth=None)
@@ -181,40 +181,27 @@ class Mapper(Stateful):
         seeds = training = None
         if self.objects is not None:
             whole = frame if wrong is None else measured
-            seeds, training = self.objects.supervise_keyframe(whole, T_wc, rendered)
+            seeds, training = self.objects.supervise_keyframe(whole, T_wc, self._renderer if seen else None)
             if training is not None and wrong is not None:
                 training = np.where(wrong, np.int32(-1), training)
-        camera, present = self._renderer.camera, None
-        if rendered is not None and frame.depth is not None:
-            present = surface_density(self.map, T_wc, camera, frame.depth, tolerance=DEPTH_TOLERANCE)
-        new = seed_gaussians(
-            frame,
-            T_wc,
-            camera,
-            seed_density(frame, rendered, self._config.seeding, exposure, present=present),
-            self._config.seeding,
-            identities=seeds,
-            rng=self._identity_rng,
-            exposure=exposure,
-            keyframe_id=len(self._keyframes),
-            flat=self._depth_completion is None,
-            present=present,
-        )
-        self.map.append(new)
-        self._optimiser.add(upload(measured, T_wc, training, exposure, device=self._device))
+        keyframe = upload(measured, T_wc, training, exposure, device=self._device)
+        depth = keyframe.depth
+        if frame.depth is not measured.depth:
+            depth = wp.array(frame.depth, dtype=float, device=self._device)
+        planes = self._renderer.planes if seen else None
+        shown = Seen(frame.index, keyframe.colour, depth, T_wc, exposure, planes)
+        self._seeder.seed(shown, len(self._keyframes), seeds, self._identity_rng)
+        self._optimiser.add(keyframe)
         if wrong is not None:
             self._leave_out(len(self._keyframes) - 1, wrong)
             self.left_out["keyframe_pixels"] += wrong.size
         self._drop_unconfirmed()
         return True
 
-    def _contradicting(
-        self, frame: Frame, T_wc: Float64, rendered: Rendered | None, moving: MovingPixels
-    ) -> Bools | None:
+    def _contradicting(self, frame: Frame, T_wc: Float64, moving: MovingPixels) -> Bools | None:
         """Return the pixels [h, w] that contradict the rest, and leave out what they disprove; None: all."""
         assert frame.depth is not None
-        reason = "" if rendered is None else unusable(frame, rendered)
-        if reason:
+        if reason := self._unusable(frame):
             self.left_out["pictures_left_out"] += 1
             _log.warning("frame %d is not mapped: %s", frame.index, reason)
             return None
@@ -225,6 +212,14 @@ class Mapper(Stateful):
         for earlier, pixels in moved.items():
             self._leave_out(earlier, pixels)
         return wrong
+
+    def _unusable(self, frame: Frame) -> str:
+        """Say why ``frame``, from where the map was rendered, is not to be mapped; empty: it is."""
+        if self.map.count == 0:
+            return ""
+        thinned, depth = self._grid.thinned, frame.depth
+        few = replace(frame, rgb=thinned(frame.rgb), depth=None if depth is None else thinned(depth))
+        return unusable(few, self._renderer.picture(self._grid.step))
 
     def _leave_out(self, number: int, pixels: Bools) -> None:
         """Take ``pixels`` [h, w] out of keyframe ``number``, and the Gaussians that it added there."""
@@ -271,12 +266,14 @@ class Mapper(Stateful):
         if skip_objects or self.objects is None or not self.ready:
             return
         if self.objects.vote_is_due(frame, newest=self._keyframes.states[-1].index):
-            self.objects.vote(frame, T_wc, self._look(T_wc))
+            self._renderer.render(T_wc)
+            self.objects.vote(frame, T_wc, self._renderer)
         number = self.objects.keyframe_to_relabel(len(self._keyframes))
         if number is not None:
             index, T_wc = self._keyframes.states[number].index, self._keyframes.pose(number)
-            view, depth = self._look(T_wc), to_host(self._keyframes.depth(number))
-            if (labels := self.objects.relabel(index, depth, T_wc, view)) is not None:
+            self._renderer.render(T_wc)
+            depth = self._keyframes.depth(number, step=self.objects.grid.step)
+            if (labels := self.objects.relabel(index, depth, T_wc, self._renderer)) is not None:
                 self._keyframes.label(number, labels)
 
     def iterate(self) -> None:
@@ -315,14 +312,12 @@ class Mapper(Stateful):
 
     def render(self, T_wc: Float64) -> Rendered:
         """Return the map's view from ``T_wc`` [4, 4], with all that it shows."""
-        rendered, objects = self._look(T_wc), self.objects
-        return rendered if objects is None else objects.add_objects(rendered, self._renderer.identity())
-
-    def _look(self, T_wc: Float64) -> Rendered:
-        """Return the view from ``T_wc`` [4, 4] without identities: they stay on the device."""
         self._renderer.render(T_wc)
         rendered = self._renderer.picture()
-        return rendered if self.objects is None else self.objects.add_classes(rendered, self._renderer.image)
+        if self.objects is None:
+            return rendered
+        rendered = self.objects.add_classes(rendered, self._renderer.image)
+        return self.objects.add_objects(rendered, self._renderer.identity())
 
     def export(self) -> Gaussians:
         """Return the map on the host, each Gaussian with its object's id as the masks name it."""

@@ -10,19 +10,31 @@ fitted stays wrong in colour, so that a map that was seeded there each time woul
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Any
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
+import warp as wp
 
 from ggwarp.geometry.camera import Camera
-from ggwarp.geometry.se3 import quats_from_matrices
-from ggwarp.map.gaussians import SH_C0, Gaussians
+from ggwarp.kernels.camera import intrinsics_of
+from ggwarp.kernels.math import vec6, vec16
+from ggwarp.kernels.seeding.density import DensityRules, allocate_seeding, density_of_seeds
+from ggwarp.kernels.seeding.seeds import (
+    SeedRules,
+    begin_gaussians,
+    begin_identities,
+    choose_pixels,
+    smoothed_depth,
+)
+from ggwarp.map.gaussian_map import GaussianMap
+from ggwarp.map.gaussians import SH_C0
+from ggwarp.map.renderer import Planes
+from ggwarp.map.surface_density import surface_density
 from ggwarp.objects.classifier import IdentitySeeds, random_identities
-from ggwarp.types import Exposure, Float32, Float64, Frame, Rendered
-
-_NEUTRAL = Exposure()
+from ggwarp.runtime.streams import to_host
+from ggwarp.types import Exposure, Float64
 
 _DETAIL_GAIN = 6.0
 """Density added per unit of local colour contrast (0..1)."""
@@ -57,169 +69,148 @@ class SeedingConfig:
     eq. (2)."""
 
 
-def seed_density(
-    frame: Frame,
-    rendered: Rendered | None,
-    config: SeedingConfig,
-    exposure: Exposure = _NEUTRAL,
-    *,
-    present: Float32 | None = None,
-) -> Float32:
-    """Return the density of new Gaussians, [h, w] Gaussians a pixel, 0 where depth is missing.
+@dataclass(frozen=True)
+class Seen:
+    """A keyframe on the device, as new Gaussians are laid by it.
 
-    Args:
-        frame: the keyframe, at the map's image size.
+    Attributes:
+        index: the frame's.
+        pixels: [h, w, 3] uint8, the picture.
+        depth: [h, w] float, metres, 0 = none.
+        T_wc: [4, 4] pose.
+        exposure: of the picture.
         rendered: the map's view from there; None while the map is empty.
-        exposure: of the frame's picture.
-        present: [h, w] Gaussians a pixel on the surface already; None: none.
     """
-    assert frame.depth is not None
-    colour = exposure.undo_exposure(frame.rgb)
-    smooth = np.asarray(cv2.GaussianBlur(colour, (0, 0), 1.0), np.float32)
-    contrast = cv2.blur(_mean_difference(colour, smooth), (3, 3))
-    fresh = np.clip(config.min_density + _DETAIL_GAIN * contrast, 0.0, config.max_density)
-    if rendered is None:
-        density = fresh
-    else:
-        in_front = (rendered.median_depth - frame.depth) > DEPTH_TOLERANCE * rendered.median_depth
-        is_new = (rendered.opacity < 0.5) | in_front
-        residual = cv2.blur(_mean_difference(rendered.rgb, colour), (3, 3))
-        more = np.clip(_RESIDUAL_GAIN * (residual - _RESIDUAL_THRESHOLD), 0.0, config.max_density)
-        if present is not None:
-            fresh = np.maximum(fresh - present, 0.0)
-            more = np.minimum(more, np.maximum(_MOST - present, 0.0))
-        density = np.where(is_new, fresh, more)
-    return np.where(frame.depth > 0.0, density, 0.0).astype(np.float32)
+
+    index: int
+    pixels: Any
+    depth: Any
+    T_wc: Float64
+    exposure: Exposure
+    rendered: Planes | None
 
 
-def _mean_difference(one: Float32, other: Float32) -> Float32:
-    """Return [h, w] the mean absolute difference of two pictures' channels [h, w, 3]."""
-    difference = cv2.absdiff(one, other)  # NumPy's mean over so short an axis takes four times as long
-    total = difference[..., 0] + difference[..., 1] + difference[..., 2]
-    return np.asarray(total / np.float32(3.0), np.float32)
+class Seeder:
+    """Adds to a map the Gaussians that a keyframe shows and the map lacks (GG-SLAM 2.3, c)."""
 
+    def __init__(self, config: SeedingConfig, camera: Camera, gaussians: GaussianMap, *, flat: bool) -> None:
+        """Prepare to add to ``gaussians`` what pictures of ``camera`` show.
 
-def choose_pixels(density: Float32, frame_index: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return (rows, columns) drawn at ``density`` by a low-discrepancy dither, repeatably."""
-    v, u = np.nonzero(density)
-    # Roberts' R2 sequence over the pixel grid: evenly spread at every density, unlike noise.
-    dither = (u * 0.7548776662466927 + v * 0.5698402909980532 + frame_index * 0.6180339887498949) % 1.0
-    drawn = dither < density[v, u]
-    return v[drawn], u[drawn]
+        Args:
+            flat: Gaussians are discs on the surface; else they are round, as where normals are not known.
+        """
+        self._config = config
+        self._camera = camera
+        self._intrinsics = intrinsics_of(camera)
+        self._map = gaussians
+        self._device = gaussians.device
+        self._workspace = allocate_seeding(camera.height, camera.width, device=self._device)
+        self._density_rules = DensityRules()
+        rules = self._density_rules
+        rules.least, rules.most, rules.full = config.min_density, config.max_density, _MOST
+        rules.detail_gain, rules.tolerance = _DETAIL_GAIN, DEPTH_TOLERANCE
+        rules.residual_gain, rules.residual_threshold = _RESIDUAL_GAIN, _RESIDUAL_THRESHOLD
+        self._seed_rules = SeedRules()
+        begun = self._seed_rules
+        begun.spacing, begun.noise, begun.colour_scale = _SPACING, config.identity_noise, SH_C0
+        begun.flatness, begun.stretch = (_FLATNESS, _MAX_STRETCH) if flat else (1.0, 1.0)
+        begun.opacity_logit = math.log(_OPACITY / (1.0 - _OPACITY))
 
+    def seed(
+        self, seen: Seen, keyframe_id: int, identities: IdentitySeeds | None, rng: np.random.Generator
+    ) -> int:
+        """Add what ``seen`` shows and the map lacks; return how many Gaussians that is.
 
-def surface_normals(
-    depth: Float32, camera: Camera, rows: NDArray[np.intp], columns: NDArray[np.intp]
-) -> Float32:
-    """Return [n, 3] unit normals at pixels, in the camera frame, towards the camera; 0 where unknown.
+        Args:
+            keyframe_id: number of the keyframe.
+            identities: what they begin as; None: the map has none.
+            rng: draws the identities.
+        """
+        present = self._present(seen)
+        return self.add(seen, self.density(seen, present), present, keyframe_id, identities, rng)
 
-    Args:
-        depth: [h, w] metres, 0 = none.
-        rows, columns: [n] the pixels.
-    """
-    smooth = cv2.bilateralFilter(depth, 5, 0.05, 2.0)
+    def density(self, seen: Seen, present: Any = None) -> Any:
+        """Return the density of new Gaussians, [h, w] Gaussians a pixel, on the device, until the next call.
 
-    def points(v: NDArray[np.intp], u: NDArray[np.intp]) -> Float32:
-        return camera.back_project(u.astype(np.float32), v.astype(np.float32), smooth[v, u])
+        Args:
+            present: [h, w] Gaussians a pixel on the surface already; None: none.
+        """
+        rendered = seen.rendered
+        density_of_seeds(
+            self._density_rules,
+            pixels=seen.pixels,
+            exposure=self._exposure(seen),
+            depth=seen.depth,
+            image=None if rendered is None else rendered.image,
+            median_depth=None if rendered is None else rendered.median_depth,
+            transmittance=None if rendered is None else rendered.transmittance,
+            present=present,
+            workspace=self._workspace,
+            device=self._device,
+        )
+        return self._workspace.density
 
-    last_row, last_column = depth.shape[0] - 1, depth.shape[1] - 1
-    du = points(rows, np.minimum(columns + 1, last_column)) - points(rows, np.maximum(columns - 1, 0))
-    dv = points(np.minimum(rows + 1, last_row), columns) - points(np.maximum(rows - 1, 0), columns)
-    normals = np.cross(du, dv)
-    # Across a depth edge the differences span two surfaces.
-    reach = 0.1 * smooth[rows, columns]
-    length = np.linalg.norm(normals, axis=1)
-    broken = (np.abs(du[:, 2]) > reach) | (np.abs(dv[:, 2]) > reach)
-    broken |= (depth[rows, columns] <= 0.0) | (length < 1e-12)
-    normals /= np.where(broken, 1.0, length)[:, None]
-    normals *= -np.sign((normals * points(rows, columns)).sum(axis=1, keepdims=True))
-    normals[broken] = 0.0
-    return normals
+    def add(
+        self,
+        seen: Seen,
+        density: Any,
+        present: Any,
+        keyframe_id: int,
+        identities: IdentitySeeds | None,
+        rng: np.random.Generator,
+    ) -> int:
+        """Add Gaussians at ``density`` [h, w] between those ``present``; otherwise as :meth:`seed`."""
+        device, workspace = self._device, self._workspace
+        chosen, numbers, smooth = workspace.chosen, workspace.numbers, workspace.smooth_depth
+        choose_pixels(density, frame=seen.index, chosen=chosen, numbers=numbers, device=device)
+        count = int(to_host(numbers[-1, -1:])[0])
+        begin = self._map.extend(count)
+        if count == 0:
+            return 0
+        smoothed_depth(seen.depth, smooth=smooth, device=device)
+        begin_gaussians(
+            self._seed_rules,
+            begin=begin,
+            pixels=seen.pixels,
+            exposure=self._exposure(seen),
+            depth=seen.depth,
+            smooth=smooth,
+            camera=self._intrinsics,
+            T_wc=wp.array(seen.T_wc.astype(np.float32)[None], dtype=wp.mat44, device=device),
+            density=density,
+            present=present,
+            chosen=chosen,
+            numbers=numbers,
+            outputs=self._map.fields,
+            device=device,
+        )
+        self._map.fields["keyframe_ids"][begin : begin + count].fill_(keyframe_id)
+        if identities is not None:
 
+            def uploaded(image: Any) -> Any:
+                return None if image is None else wp.array(image, dtype=int, device=device)
 
-def seed_gaussians(
-    frame: Frame,
-    T_wc: Float64,
-    camera: Camera,
-    density: Float32,
-    config: SeedingConfig,
-    *,
-    identities: IdentitySeeds | None,
-    rng: np.random.Generator,
-    exposure: Exposure = _NEUTRAL,
-    keyframe_id: int = 0,
-    flat: bool = True,
-    present: Float32 | None = None,
-) -> Gaussians:
-    """Return the Gaussians that ``frame`` adds at ``density`` (GG-SLAM 2.3, c).
+            begin_identities(
+                self._seed_rules,
+                begin=begin,
+                chosen=chosen,
+                numbers=numbers,
+                noise=wp.array(random_identities(count, rng), dtype=vec16, device=device),
+                codes=wp.array(identities.codes, dtype=vec16, device=device),
+                classes=uploaded(identities.classes),
+                labels=uploaded(identities.votes),
+                identities=self._map.fields["identities"],
+                votes=self._map.fields["votes"],
+                device=device,
+            )
+        return count
 
-    Args:
-        frame: the keyframe, at the map's image size.
-        T_wc: [4, 4] its pose.
-        density: [h, w] Gaussians a pixel.
-        identities: what they begin as; None: they have none.
-        rng: draws the identities.
-        exposure: of the frame's picture.
-        keyframe_id: number of the keyframe.
-        flat: they are discs on the surface; else they are round, as where normals are not known.
-        present: [h, w] Gaussians a pixel on the surface already, between which they go; None: none.
-    """
-    assert frame.depth is not None
-    rows, cols = choose_pixels(density, frame.index)
-    z = frame.depth[rows, cols]
-    points = camera.back_project(cols, rows, z)
-    normals = surface_normals(frame.depth, camera, rows, cols)
-    towards = -points / np.linalg.norm(points, axis=1, keepdims=True)
-    unknown = ~normals.any(axis=1)
-    normals[unknown] = towards[unknown]
+    def _present(self, seen: Seen) -> Any:
+        if seen.rendered is None:
+            return None
+        return surface_density(self._map, seen.T_wc, self._camera, seen.depth, tolerance=DEPTH_TOLERANCE)
 
-    axes, cosine = _surface_axes(normals, towards)
-    total = density if present is None else density + present
-    spread = _SPACING / np.sqrt(total[rows, cols]) * z / camera.fx
-    flatness, max_stretch = (_FLATNESS, _MAX_STRETCH) if flat else (1.0, 1.0)
-    stretch = np.minimum(1.0 / np.maximum(cosine, 1e-3), max_stretch)
-    scales = np.stack([spread * stretch, spread, spread * flatness], axis=1)
-    R, t = T_wc[:3, :3], T_wc[:3, 3]
-    count = len(z)
-    return Gaussians(
-        means=(points @ R.T + t).astype(np.float32),
-        quats=quats_from_matrices(R @ axes),
-        log_scales=np.log(np.maximum(scales, 1e-5)).astype(np.float32),
-        opacity_logits=np.full(count, np.log(_OPACITY / (1.0 - _OPACITY)), np.float32),
-        colours=((exposure.undo_exposure(frame.rgb[rows, cols]) - 0.5) / SH_C0).astype(np.float32),
-        identities=None if identities is None else _identities(identities, rows, cols, config, rng),
-        keyframe_ids=np.full(count, keyframe_id, np.int32),
-        votes=None
-        if identities is None or identities.votes is None
-        else (identities.votes[rows, cols] >= 0).astype(np.int32),
-    )
-
-
-def _identities(
-    seeds: IdentitySeeds,
-    rows: NDArray[np.intp],
-    cols: NDArray[np.intp],
-    config: SeedingConfig,
-    rng: np.random.Generator,
-) -> Float32:
-    noise = random_identities(len(rows), rng)
-    if seeds.classes is None:
-        return noise
-    classes = seeds.classes[rows, cols]
-    known = (classes >= 0)[:, None]
-    mixed = (1.0 - config.identity_noise) * seeds.codes[
-        np.maximum(classes, 0)
-    ] + config.identity_noise * noise
-    return np.where(known, mixed, noise).astype(np.float32)
-
-
-def _surface_axes(normals: Float32, towards: Float32) -> tuple[Float32, Float32]:
-    """Return [n, 3, 3] axes (columns: downhill, level, normal) and the cosine of incidence [n]."""
-    cosine = np.clip((normals * towards).sum(axis=1), 0.0, 1.0)
-    downhill = towards - cosine[:, None] * normals
-    flat = np.linalg.norm(downhill, axis=1) < 1e-3
-    # Seen head on, any tangent serves.
-    helper = np.where(np.abs(normals[:, :1]) < 0.9, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
-    downhill[flat] = np.cross(normals[flat], helper[flat])
-    downhill /= np.linalg.norm(downhill, axis=1, keepdims=True)
-    return np.stack([downhill, np.cross(normals, downhill), normals], axis=2), cosine
+    def _exposure(self, seen: Seen) -> Any:
+        row: Any = vec6
+        values = [[*seen.exposure.log_gain, *seen.exposure.offset]]
+        return wp.array(values, dtype=row, device=self._device)

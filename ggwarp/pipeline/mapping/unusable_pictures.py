@@ -8,8 +8,6 @@ what is white or black may be so, and the map not yet.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,8 +23,6 @@ _DIFFERENT = 0.2
 """Of the scale, in a channel: colours this far apart are not those of one place in one light."""
 _OPAQUE = 0.95
 _BREAKDOWN = 0.5
-_STATISTICS = 50_000
-"""Pixels that are enough to count over: of a larger picture a grid."""
 _LEAST = 0.05
 """Share of a picture that the map must explain before it can be contradicted."""
 
@@ -70,8 +66,12 @@ def different_share(frame: Frame, rendered: Rendered) -> float:
 
 
 def unusable(frame: Frame, rendered: Rendered) -> str:
-    """Say why a picture is left out whole, having been compared with the map's view; empty: it is used."""
-    frame, rendered = _thinned(frame, rendered)
+    """Say why a picture is left out whole, having been compared with the map's view; empty: it is used.
+
+    Args:
+        frame: with depth; some of its pixels are enough.
+        rendered: the map's view from its pose, at the same pixels.
+    """
     for share, said in (
         (clipped_share(frame, rendered), "is clipped"),
         (different_share(frame, rendered), "has other colours"),
@@ -79,17 +79,6 @@ def unusable(frame: Frame, rendered: Rendered) -> str:
         if share > _BREAKDOWN:
             return f"{100.0 * share:.0f} % of what the map knows of it {said}"
     return ""
-
-
-def _thinned(frame: Frame, rendered: Rendered) -> tuple[Frame, Rendered]:
-    """Return both at the pixels to count over."""
-    assert frame.depth is not None
-    step = max(1, round((frame.depth.size / _STATISTICS) ** 0.5))
-    grid = slice(step // 2, None, step), slice(step // 2, None, step)
-    few = Rendered(
-        rendered.rgb[grid], rendered.depth[grid], rendered.median_depth[grid], rendered.opacity[grid]
-    )
-    return replace(frame, rgb=frame.rgb[grid], depth=frame.depth[grid]), few
 
 
 def _explained(frame: Frame, rendered: Rendered) -> NDArray[np.bool_]:

@@ -22,7 +22,7 @@ from ggwarp.runtime.state import Stateful
 from ggwarp.types import Float32, Float64, Frame
 
 TRIAL = 10
-"""Frames after a start that show whether it was good: when two of them are lost, it starts over."""
+"""Frames after a start that show whether it was good: when two are lost or poor, it starts over."""
 
 PATIENCE = 30
 """Frames without parallax after which a start is given up for the newest picture."""

@@ -18,7 +18,7 @@ from ggwarp.types import Float64, Frame, MapSnapshot, TrackResult, Verdict
 class MonocularTracker(PhotometricTracker):
     """Holds the first frames until their depth can be told, then tracks by colour."""
 
-    STATE = (*PhotometricTracker.STATE, "_initialiser", "_first", "_tracked", "_lost")
+    STATE = (*PhotometricTracker.STATE, "_initialiser", "_first", "_tracked", "_doubted")
 
     def __init__(
         self,
@@ -32,7 +32,7 @@ class MonocularTracker(PhotometricTracker):
         super().__init__(refinement, renderer, device=device)
         self._initialiser = MonocularInitialiser(initialisation, renderer.camera)
         self._first: Float64 | None = None
-        self._tracked = self._lost = 0
+        self._tracked = self._doubted = 0
 
     def start(self, frame: Frame, T_wc: Float64) -> TrackResult:
         """Take the next frame of the start; it is lost until there is enough parallax.
@@ -49,9 +49,9 @@ class MonocularTracker(PhotometricTracker):
         return TrackResult(begun.T_wc, Verdict.CONVERGED, depth=begun.depth, earlier_poses=begun.poses)
 
     def track(self, frame: Frame, target: MapSnapshot) -> TrackResult:
-        """Return the pose of the next frame; soon after the start, being lost twice means that it was bad."""
+        """Return the pose of the next frame; two lost or poor soon after the start mean that it was bad."""
         result = super().track(frame, target)
         self._tracked += 1
-        self._lost += result.verdict is Verdict.LOST
-        init_failed = self._lost > 1 and self._tracked <= TRIAL
+        self._doubted += result.verdict is not Verdict.CONVERGED
+        init_failed = self._doubted > 1 and self._tracked <= TRIAL
         return dataclasses.replace(result, reinitialise=init_failed)

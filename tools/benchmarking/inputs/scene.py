@@ -13,7 +13,7 @@ from ggwarp.kernels.optim.adam import AdamRates
 from ggwarp.kernels.raster.project import LOW_PASS
 from ggwarp.map.gaussians import SH_C0, Gaussians
 from ggwarp.objects.classifier import ClassifierConfig, random_identities
-from ggwarp.objects.mask_supervision import SupervisionConfig
+from ggwarp.objects.masks.mask_supervision import SupervisionConfig
 from ggwarp.pipeline.mapping.build import build_mapper
 from ggwarp.pipeline.mapping.mapper import Mapper, MapperConfig
 from ggwarp.pipeline.mapping.seeding import SeedingConfig

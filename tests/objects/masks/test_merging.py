@@ -5,8 +5,8 @@ import numpy as np
 
 from ggwarp.geometry.camera import Camera
 from ggwarp.objects.class_table import ClassTable
-from ggwarp.objects.mask_view import MapKnowledge, MaskView, PosedDepth
-from ggwarp.objects.merging import ObjectMerger
+from ggwarp.objects.masks.mask_view import MapKnowledge, MaskView, PosedDepth
+from ggwarp.objects.masks.merging import ObjectMerger
 
 
 def stripes(*labels: int) -> np.ndarray:

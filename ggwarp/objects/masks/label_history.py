@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ggwarp.geometry.voxels import voxel_keys
 from ggwarp.objects.class_table import NO_OBJECT, ClassTable
 from ggwarp.objects.labels import Labels, as_png, contingency, from_png, ranked
-from ggwarp.objects.mask_view import MaskView
+from ggwarp.objects.masks.mask_view import MaskView
 from ggwarp.runtime.state import Stateful
 from ggwarp.types import Float32
 
@@ -89,11 +89,10 @@ class LabelHistory(Stateful):
         Arguments as of :meth:`correct`.
         """
         assert mask.knowledge is not None
-        surface, grid = mask.surface, mask.surface.grid
-        known, given = mask.knowledge.known[grid], mask.labels[grid]
-        pixels = (known >= 0) & (given >= 0) & (surface.depth[grid] > 0.0)
+        surface, known, given = mask.surface, mask.knowledge.known, mask.labels
+        pixels = (known >= 0) & (given >= 0) & (surface.depth > 0.0)
         objects, labels = known[pixels], given[pixels]
-        places = _places(voxel_keys(surface.grid_points[pixels], _VOXEL), objects, labels)
+        places = _places(voxel_keys(surface.places[pixels], _VOXEL), objects, labels)
         if anew:
             self._views.update(places.labelled)
         table = contingency(objects, labels, max(objects.max(initial=0), labels.max(initial=0)) + 1)

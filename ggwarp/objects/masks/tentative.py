@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ggwarp.objects.labels import Labels
-from ggwarp.objects.mask_view import PosedDepth
+from ggwarp.objects.masks.mask_view import PosedDepth
 from ggwarp.runtime.state import Stateful, state_value
 from ggwarp.types import Float64
 

@@ -9,7 +9,7 @@ import warp as wp
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from ggwarp.kernels.camera import intrinsics_of
-from ggwarp.kernels.raster.surface_count import count_on_surface, mean_over_surface
+from ggwarp.kernels.seeding.surface_count import count_on_surface, mean_over_surface
 
 CAMERA = Camera(24, 18, 22.0, 21.0, 11.0, 8.5)
 TOLERANCE = 0.03

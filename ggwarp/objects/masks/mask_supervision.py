@@ -15,17 +15,18 @@ from dataclasses import dataclass, field, replace
 
 from ggwarp.geometry.camera import Camera
 from ggwarp.map.gaussian_map import GaussianMap
-from ggwarp.objects.association import Association, SegmentAssociation, TrackedIds
+from ggwarp.map.renderer import Planes
 from ggwarp.objects.class_table import ClassTable
 from ggwarp.objects.classifier import Classifier
-from ggwarp.objects.gaussian_votes import GaussianVotes, seen_classes
-from ggwarp.objects.id_splitting import SharedIdSplitter, SplittingConfig
-from ggwarp.objects.label_history import LabelHistory
+from ggwarp.objects.gaussian_votes import GaussianVotes
 from ggwarp.objects.labels import Labels
-from ggwarp.objects.mask_view import LabelTargets, MaskView, PosedDepth, targets_without_mask
-from ggwarp.objects.merging import ObjectMerger
+from ggwarp.objects.masks.association import Association, SegmentAssociation, TrackedIds
+from ggwarp.objects.masks.id_splitting import SharedIdSplitter, SplittingConfig
+from ggwarp.objects.masks.label_history import LabelHistory
+from ggwarp.objects.masks.mask_view import LabelTargets, MaskView, PosedDepth, targets_without_mask
+from ggwarp.objects.masks.merging import ObjectMerger
 from ggwarp.runtime.state import Stateful
-from ggwarp.types import Float32, Float64, Frame, Rendered
+from ggwarp.types import Float32
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,7 @@ class ObjectSupervision(Stateful):
         """Prepare to supervise ``gaussians``.
 
         Args:
+            camera: of the pixels that are looked at.
             classes: grows with the objects.
             classifier: grows with them.
             tracked: whether the masks' ids mean the same object in every frame.
@@ -73,62 +75,62 @@ class ObjectSupervision(Stateful):
         splitting = config.splitting if tracked and config.votes > 0 else SplittingConfig(views=0)
         self._splitter = SharedIdSplitter(splitting, classes)
         self._history = LabelHistory(classes)
-        self._votes = GaussianVotes(camera, gaussians, classifier, votes=config.votes)
+        self._votes = GaussianVotes(camera, gaussians, classes, classifier, votes=config.votes)
         self._merger = ObjectMerger(classes, self._history, self._splitter)
 
     def adopt(self, means: Float32, classes: Labels) -> None:
-        """See :meth:`ggwarp.objects.label_history.LabelHistory.adopt`."""
+        """See :meth:`ggwarp.objects.masks.label_history.LabelHistory.adopt`."""
         self._history.adopt(means, classes)
 
     def supervise(
-        self, frame: Frame, T_wc: Float64, rendered: Rendered | None, *, keep: bool = True
+        self,
+        index: int,
+        surface: PosedDepth,
+        mask: Labels | None,
+        rendered: Planes | None,
+        *,
+        keep: bool = True,
     ) -> LabelTargets | None:
-        """Let ``frame``'s mask vote, and return what else it asks of the map; None: nothing at all.
+        """Let a frame's mask vote, and return what else it asks of the map; None: nothing at all.
 
         Args:
-            frame: with depth.
-            T_wc: [4, 4] its pose.
-            rendered: the map's view from there; None while the map is empty.
+            index: the frame's.
+            surface: where its pixels are.
+            mask: [h, w] its object ids; None: it has none.
+            rendered: the map's view from there, with identities; None while the map is empty.
             keep: it is a keyframe: keep its labels for :meth:`relabel`.
         """
-        assert frame.depth is not None
-        if frame.mask is None:
-            return self._without_mask(frame.depth, rendered)
-        surface = PosedDepth(frame.depth, T_wc, self._camera)
+        if mask is None and (rendered is None or self._config.votes == 0):
+            return None
         knowledge = None if rendered is None else self._votes.look(surface, rendered)
-        mask = self._association.associate(frame.mask, surface, knowledge)
-        mask = self._splitter.split_shared_ids(mask)
+        if mask is None:
+            return None if knowledge is None else targets_without_mask(knowledge.seen)
+        view = self._association.associate(mask, surface, knowledge)
+        view = self._splitter.split_shared_ids(view)
         self._classifier.grow(self._classes.count)
         if self._config.votes == 0:
-            return LabelTargets(mask.labels, mask.labels, mask.labels)
+            return LabelTargets(view.labels, view.labels, view.labels)
         if keep and self._config.relabel_interval > 0:
-            self._history.keep(frame.index, mask.labels)
+            self._history.keep(index, view.labels)
         if knowledge is None:
-            return mask.label_targets()
-        corrected = self._history.correct(mask)
+            return view.label_targets()
+        corrected = self._history.correct(view)
         self._votes.cast(corrected)
-        self._merger.merge_shown_as_one(mask, self._splitter.grown_together(), frame_index=frame.index)
+        self._merger.merge_shown_as_one(view, self._splitter.grown_together(), frame_index=index)
         return corrected.label_targets()
 
-    def relabel(self, index: int, depth: Float32, T_wc: Float64, rendered: Rendered) -> Labels | None:
-        """Return a past keyframe's training labels as the map sees it by now; None: it has none.
+    def relabel(self, index: int, surface: PosedDepth, rendered: Planes) -> Labels | None:
+        """Return a past keyframe's training labels [h, w] as the map sees it by now; None: it has none.
 
         Args:
             index: its frame's.
-            depth: [h, w] metres.
-            T_wc: [4, 4] its pose.
-            rendered: the map's view from there.
+            surface: where its pixels are.
+            rendered: the map's view from there, with identities.
         """
-        labels = self._history.kept(index, depth.shape)
+        labels = self._history.kept(index, surface.depth.shape)
         if labels is None:
             return None
-        surface = PosedDepth(depth, T_wc, self._camera)
         knowledge = self._votes.look(surface, rendered)
         knowledge = replace(knowledge, known=knowledge.certain)
         mask = MaskView(surface, labels, knowledge)
         return self._history.correct(mask, anew=False).training_labels()
-
-    def _without_mask(self, depth: Float32, rendered: Rendered | None) -> LabelTargets | None:
-        if rendered is None or self._config.votes == 0:
-            return None
-        return targets_without_mask(seen_classes(depth, rendered))

@@ -16,7 +16,7 @@ import numpy as np
 
 from ggwarp.objects.class_table import IGNORED, NO_OBJECT, ClassTable
 from ggwarp.objects.labels import Labels, contingency
-from ggwarp.objects.mask_view import MaskView
+from ggwarp.objects.masks.mask_view import MaskView
 from ggwarp.runtime.state import Stateful
 
 log = logging.getLogger(__name__)
@@ -76,12 +76,7 @@ class ObjectMerger(Stateful):
         """Take in a frame; return the pairs (lower, higher class) that are one from now on."""
         if self._least == 0 or mask.knowledge is None:
             return []
-        grid = mask.surface.grid
-        covers = _covering_segments(
-            mask.knowledge.known[grid],
-            mask.labels[grid],
-            None if mask.segments is None else mask.segments[grid],
-        )
+        covers = _covering_segments(mask.knowledge.known, mask.labels, mask.segments)
         found = []
         objects = sorted(covers)
         for i, one in enumerate(objects):
@@ -114,8 +109,8 @@ def _covering_segments(known: Labels, labels: Labels, segments: Labels | None) -
     Where segments bear objects' numbers, one shows the object of its own number even where the map does not.
 
     Args:
-        known: as of :class:`ggwarp.objects.mask_view.MapKnowledge`.
-        labels, segments: as of :class:`ggwarp.objects.mask_view.MaskView`.
+        known: as of :class:`ggwarp.objects.masks.mask_view.MapKnowledge`.
+        labels, segments: as of :class:`ggwarp.objects.masks.mask_view.MaskView`.
     """
     numbered = segments is None
     if segments is None:

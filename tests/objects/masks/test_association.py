@@ -6,10 +6,10 @@ import pytest
 
 from ggwarp.geometry.camera import Camera
 from ggwarp.objects import class_table
-from ggwarp.objects.association import SegmentAssociation, TrackedIds, match_segments
 from ggwarp.objects.class_table import ClassTable
 from ggwarp.objects.labels import Labels
-from ggwarp.objects.mask_view import MapKnowledge, MaskView, PosedDepth
+from ggwarp.objects.masks.association import SegmentAssociation, TrackedIds, match_segments
+from ggwarp.objects.masks.mask_view import MapKnowledge, MaskView, PosedDepth
 
 
 def stripes(*labels: int) -> Labels:

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from ggwarp.objects.class_table import IGNORED, NO_OBJECT, ClassTable
 from ggwarp.objects.labels import Labels, contingency, ranked
-from ggwarp.objects.mask_view import MapKnowledge, MaskView, PosedDepth
-from ggwarp.objects.tentative import Candidates
+from ggwarp.objects.masks.mask_view import MapKnowledge, MaskView, PosedDepth
+from ggwarp.objects.masks.tentative import Candidates
 from ggwarp.runtime.state import Stateful
 from ggwarp.types import Float64
 
@@ -69,10 +69,9 @@ class TrackedIds(Stateful):
         new = [rank for rank, raw in enumerate(ids.tolist()) if raw > 0 and not self._classes.knows(raw)]
         if not new:
             return
-        grid = surface.grid
-        segments = ranks[grid].astype(np.int32)
+        segments = ranks.astype(np.int32)
         areas = np.bincount(segments.ravel(), minlength=len(ids))
-        ious = overlaps(segments, knowledge.seen[grid], self._classes.count)[1][:, : self._classes.earlier]
+        ious = overlaps(segments, knowledge.seen, self._classes.count)[1][:, : self._classes.earlier]
         for rank in new:
             best = int(ious[rank].argmax())
             if ious[rank, best] >= _SAME_IOU and areas[rank] >= _LEAST_AREA * segments.size:
@@ -157,8 +156,8 @@ class SegmentAssociation(Stateful):
         ids, ranks = ranked(mask)
         numbers = np.where(ids > 0, np.cumsum(ids > 0) - 1, IGNORED).astype(np.int32)
         segments = numbers[ranks]
-        grid, seen = surface.grid, np.full_like(mask, IGNORED) if knowledge is None else knowledge.seen
-        matches = match_segments(segments[grid], seen[grid], self._classes.count)
+        seen = np.full_like(mask, IGNORED) if knowledge is None else knowledge.seen
+        matches = match_segments(segments, seen, self._classes.count)
         classes = matches.classes.copy()
         for segment in np.nonzero(matches.new)[0].tolist():
             if not self._classes.full:

@@ -7,7 +7,7 @@ import numpy as np
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
-from ggwarp.objects.mask_view import MapKnowledge, MaskView, PosedDepth, targets_without_mask
+from ggwarp.objects.masks.mask_view import MapKnowledge, MaskView, PosedDepth, targets_without_mask
 
 CAMERA = Camera(60, 40, 50.0, 50.0, 29.5, 19.5)
 
@@ -30,20 +30,14 @@ def test_only_points_that_a_view_shows_are_looked_up(wall_from: Callable) -> Non
     assert len(wall_from(50.0)[0].look_up(points, labels)) == 0
 
 
-def test_large_images_are_counted_on_a_grid() -> None:
-    small, large = (np.zeros(shape, np.float32) for shape in ((170, 300), (680, 1200)))
-    assert small[PosedDepth(small, np.eye(4), CAMERA).grid].shape == small.shape
-    assert 40_000 < large[PosedDepth(large, np.eye(4), CAMERA).grid].size < 60_000
-
-
-def test_points_of_the_grid_are_those_of_its_pixels(rng: np.random.Generator) -> None:
-    camera = Camera(800, 500, 500.0, 500.0, 399.5, 249.5)
-    depth = rng.uniform(1.0, 3.0, (500, 800)).astype(np.float32)
-    surface = PosedDepth(depth, se3.se3_exp(rng.normal(size=6) * 0.3), camera)
-    pixels = np.zeros(depth.shape, bool)
-    pixels[surface.grid] = True
-    assert pixels.sum() < depth.size / 3, "a large image is thinned"
-    np.testing.assert_array_equal(surface.grid_points.reshape(-1, 3), surface.every_point(pixels))
+def test_places_are_the_points_that_pixels_show(rng: np.random.Generator) -> None:
+    depth = rng.uniform(1.0, 3.0, (40, 60)).astype(np.float32)
+    T_wc = se3.se3_exp(rng.normal(size=6) * 0.3)
+    rows, columns = np.indices(depth.shape)
+    expected = se3.transform_points(
+        T_wc, CAMERA.back_project(columns, rows, depth.astype(float)).reshape(-1, 3)
+    )
+    np.testing.assert_allclose(PosedDepth(depth, T_wc, CAMERA).places.reshape(-1, 3), expected, atol=1e-9)
 
 
 def test_what_the_map_is_certain_of_is_not_learnt_otherwise(wall_from: Callable) -> None:

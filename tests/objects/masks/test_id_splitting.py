@@ -6,10 +6,11 @@ import pytest
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
-from ggwarp.objects import class_table, id_splitting
+from ggwarp.objects import class_table
 from ggwarp.objects.class_table import IGNORED, ClassTable
-from ggwarp.objects.id_splitting import SharedIdSplitter, SplittingConfig, _clusters
-from ggwarp.objects.mask_view import MapKnowledge, MaskView, PosedDepth
+from ggwarp.objects.masks import id_splitting
+from ggwarp.objects.masks.id_splitting import SharedIdSplitter, SplittingConfig, _clusters
+from ggwarp.objects.masks.mask_view import MapKnowledge, MaskView, PosedDepth
 
 CAMERA = Camera(60, 40, 50.0, 50.0, 29.5, 19.5)
 UNKNOWN = np.full((40, 60), IGNORED, np.int32)
@@ -26,7 +27,7 @@ class Wall:
     def view(self, x: float) -> tuple[np.ndarray, PosedDepth]:
         T_wc = se3.se3_exp(np.array([x, 0.0, 0.0, 0.0, 0.0, 0.0]))
         view = PosedDepth(np.full((40, 60), 2.0, np.float32), T_wc, CAMERA)
-        points = view.every_point(np.ones((40, 60), bool)).reshape(40, 60, 3)
+        points = view.places
         mask = np.full((40, 60), 99, np.int32)
         for middle, identifier in self.squares.items():
             mask[(np.abs(points[..., 0] - middle) < 0.2) & (np.abs(points[..., 1]) < 0.2)] = identifier

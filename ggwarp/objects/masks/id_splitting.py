@@ -20,7 +20,7 @@ from ggwarp.geometry.boxes import linked_parts
 from ggwarp.geometry.voxels import voxel_centres, voxel_keys
 from ggwarp.objects.class_table import IGNORED, ClassTable
 from ggwarp.objects.labels import solid
-from ggwarp.objects.mask_view import MaskView
+from ggwarp.objects.masks.mask_view import MaskView
 from ggwarp.runtime.state import Stateful, state_value
 from ggwarp.types import Float64
 
@@ -99,7 +99,7 @@ class SharedIdSplitter(Stateful):
                 continue
             out = out.copy() if out is given else out
             pixels = given == label
-            points = mask.surface.every_point(pixels)
+            points = mask.surface.places[pixels & (depth > 0.0)]
             near = np.argmin([p.distances(points) for p in objects], axis=0)
             out[pixels] = IGNORED  # where there is no depth
             out[pixels & (depth > 0.0)] = np.array([p.index for p in objects], np.int32)[near]
@@ -132,15 +132,14 @@ class SharedIdSplitter(Stateful):
 
     def _seen_parts(self, mask: MaskView) -> Iterator[tuple[int, _Part]]:
         """Yield (class, part) for what the frame shows of each id, and part by part if need be."""
-        surface, grid = mask.surface, mask.surface.grid
-        given = mask.labels[grid]
-        pixels = solid(given) & (given > 0) & (surface.depth[grid] > 0.0)
+        given, surface = mask.labels, mask.surface
+        pixels = solid(given) & (given > 0) & (surface.depth > 0.0)
         if mask.knowledge is not None:
-            known = mask.knowledge.known[grid]
+            known = mask.knowledge.known
             pixels &= (known < 0) | (self._classes.id_owners(known) == given)
         least = _LEAST_AREA * given.size
         labels = given[pixels]
-        voxels = voxel_keys(surface.grid_points[pixels], _VOXEL)
+        voxels = voxel_keys(surface.places[pixels], _VOXEL)
         for label in np.unique(labels).tolist():
             places, counts = np.unique(voxels[labels == label], return_counts=True)
             for members in self._parts_of(places):

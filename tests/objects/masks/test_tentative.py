@@ -6,8 +6,8 @@ from collections.abc import Callable
 import numpy as np
 
 from ggwarp.geometry.camera import Camera
-from ggwarp.objects.mask_view import PosedDepth
-from ggwarp.objects.tentative import Candidates
+from ggwarp.objects.masks.mask_view import PosedDepth
+from ggwarp.objects.masks.tentative import Candidates
 
 CAMERA = Camera(60, 40, 50.0, 50.0, 29.5, 19.5)
 

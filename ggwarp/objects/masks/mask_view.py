@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,6 @@ from ggwarp.objects.labels import Labels, filled
 from ggwarp.types import Float32, Float64
 
 _TOLERANCE = 0.05  # of the depth: a view shows a point that is no farther from its surface
-_STATISTICS = 50_000  # pixels that are enough to count over
 
 
 @dataclass(frozen=True)
@@ -26,36 +26,23 @@ class PosedDepth:
         depth: [h, w] metres.
         T_wc: [4, 4] pose.
         camera: of the pixels.
-        grid: the pixels to count over: all of a small image, a grid of a large one.
-        grid_points: [gh, gw, 3] the points at the grid's pixels, world frame; the camera's own place where
-            there is no depth.
     """
 
     depth: Float32
     T_wc: Float64
     camera: Camera
-    grid: tuple[slice, slice] = field(init=False, repr=False)
-    grid_points: Float64 = field(init=False, repr=False)
 
-    def __post_init__(self) -> None:
-        """Compute once what every stage counts over."""
-        height, width = self.depth.shape
-        step = max(1, int((height * width / _STATISTICS) ** 0.5))
-        grid = slice(step // 2, None, step), slice(step // 2, None, step)
-        rows, columns = np.meshgrid(np.arange(height)[grid[0]], np.arange(width)[grid[1]], indexing="ij")
-        points = self._points(rows.ravel(), columns.ravel()).reshape(*rows.shape, 3)
-        object.__setattr__(self, "grid", grid)
-        object.__setattr__(self, "grid_points", points)
+    @cached_property
+    def places(self) -> Float64:
+        """[h, w, 3] the points that the pixels show, world frame; the camera's own place without depth."""
+        rows, columns = np.indices(self.depth.shape)
+        return self._points(rows.ravel(), columns.ravel()).reshape(*self.depth.shape, 3)
 
     def points(self, pixels: NDArray[np.bool_], most: int) -> Float64:
         """Return [k, 3] at ``most`` points of the surface at ``pixels`` [h, w], world frame, evenly drawn."""
         rows, columns = np.nonzero(pixels & (self.depth > 0.0))
         chosen = np.linspace(0, len(rows) - 1, min(most, len(rows))).round().astype(int)
         return self._points(rows[chosen], columns[chosen])
-
-    def every_point(self, pixels: NDArray[np.bool_]) -> Float64:
-        """Return [k, 3] the points at those of ``pixels`` [h, w] that have depth, world frame, row by row."""
-        return self._points(*np.nonzero(pixels & (self.depth > 0.0)))
 
     def _points(self, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Float64:
         z = self.depth[rows, columns].astype(np.float64)

@@ -8,8 +8,8 @@ import pytest
 
 from ggwarp.datasets.built_in.synthetic import SyntheticOffice
 from ggwarp.geometry import se3
-from ggwarp.objects.id_splitting import SplittingConfig
-from ggwarp.objects.mask_supervision import SupervisionConfig
+from ggwarp.objects.masks.id_splitting import SplittingConfig
+from ggwarp.objects.masks.mask_supervision import SupervisionConfig
 from ggwarp.pipeline.mapping.build import build_mapper
 from ggwarp.pipeline.mapping.mapper import Mapper, MapperConfig
 from ggwarp.types import Frame
@@ -27,9 +27,9 @@ def mapped(device: str, frame: Frame, masks: list, **options) -> Mapper:
     classifier = dataclasses.replace(MapperConfig().classifier, weight=0.0, weight_3d=0.0)
     config = MapperConfig(classifier=classifier, supervision=SupervisionConfig(**options))
     mapper = build_mapper(config, OFFICE.camera, device=device, use_identity=True)
-    for mask in masks:
+    for index, mask in enumerate(masks):
         assert frame.T_wc is not None
-        mapper.insert(dataclasses.replace(frame, mask=mask), frame.T_wc)
+        mapper.insert(dataclasses.replace(frame, index=index, mask=mask), frame.T_wc)
         for _ in range(8):
             mapper.iterate()
     return mapper
@@ -138,13 +138,13 @@ def test_contradictions_are_not_learnt(device: str, frame: Frame) -> None:
     here[::7, ::7] = True
     here &= spoilt == first
     spoilt[here] = second
-    view = mapper.render(frame.T_wc)
-    supervision = mapper.objects._supervision
-    targets = supervision.supervise(dataclasses.replace(frame, mask=spoilt), frame.T_wc, view)
-    assert targets is not None
-    assert (targets.training[here] == -1).mean() > 0.8
-    assert (targets.training[~here] >= 0).mean() > 0.95
-    assert (targets.seeds >= 0).all()
+    mapper.render(frame.T_wc)
+    seen = dataclasses.replace(frame, index=3, mask=spoilt)
+    seeds, training = mapper.objects.supervise_keyframe(seen, frame.T_wc, mapper._renderer)
+    assert training is not None and seeds.classes is not None
+    assert (training[here] == -1).mean() > 0.8
+    assert (training[~here] >= 0).mean() > 0.95
+    assert (seeds.classes >= 0).all()
 
 
 def test_twice_the_same_to_the_bit(device: str, frame: Frame) -> None:

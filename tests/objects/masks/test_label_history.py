@@ -5,8 +5,8 @@ import numpy as np
 
 from ggwarp.geometry.camera import Camera
 from ggwarp.objects.class_table import ClassTable
-from ggwarp.objects.label_history import LabelHistory, corrected
-from ggwarp.objects.mask_view import MapKnowledge, MaskView, PosedDepth
+from ggwarp.objects.masks.label_history import LabelHistory, corrected
+from ggwarp.objects.masks.mask_view import MapKnowledge, MaskView, PosedDepth
 
 
 def view_of(image: np.ndarray, x: float = 0.0) -> PosedDepth:
