@@ -163,7 +163,7 @@ def _views(
 ) -> list[int]:
     if count < 1:
         raise RunError(f"--views {count}: give a positive number")
-    indices = best_views(view, run.poses, chosen, run.gaussians.means[chosen], count=count)
+    indices = best_views(view, run.poses, chosen, count=count)
     if not indices:
         raise RunError(f"{record.name}: is hidden or out of sight in every frame of the run")
     return indices

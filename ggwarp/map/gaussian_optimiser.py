@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ggwarp.kernels.losses.rgbd import DEPTH, DSSIM, L1, LOSS_COUNT, rgbd_loss
 from ggwarp.kernels.math import vec16
 from ggwarp.kernels.optim.adam import AdamRates, adam_gaussians, hold_rows
+from ggwarp.kernels.raster.project import Window
 from ggwarp.kernels.workspaces import allocate_loss
 from ggwarp.map.gaussian_map import GaussianMap
 from ggwarp.map.renderer import Renderer
@@ -114,9 +115,9 @@ class GaussianOptimiser(Stateful):
             self._free = wp.array(free.astype(np.int32), dtype=int, device=self._device)
             self._ranks = wp.empty_like(self._free)
 
-    def step(self, view: TargetView) -> None:
-        """Fit the Gaussians to ``view`` once; wait for nothing on CUDA."""
-        self._renderer.forward(view.T_cw)
+    def step(self, view: TargetView, *, window: Window | None = None) -> None:
+        """Fit the Gaussians to ``view`` once, or those in a ``window`` of it; wait for nothing on CUDA."""
+        self._renderer.forward(view.T_cw, window=window)
         self.compare(view, self._renderer.image)
         self._renderer.adjoint(view.T_cw)
         self.update()

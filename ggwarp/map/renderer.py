@@ -15,7 +15,7 @@ from ggwarp.kernels.camera import intrinsics_of
 from ggwarp.kernels.math import vec6
 from ggwarp.kernels.optim.adam import GaussianArrays
 from ggwarp.kernels.raster.composite import composite, composite_adjoint
-from ggwarp.kernels.raster.project import project
+from ggwarp.kernels.raster.project import Window, project
 from ggwarp.kernels.raster.project_adjoint import pose_levels, project_adjoint
 from ggwarp.kernels.raster.sampling import Sample
 from ggwarp.kernels.raster.thinning import thin_planes
@@ -120,13 +120,15 @@ class Renderer(Stateful):
         """[rows] int: :attr:`TileArrays.ranks`, -1 for Gaussians that the last view does not show."""
         return self.tiles.ranks[: self.rows]
 
-    def forward(self, T_cw: wp.array, *, sample: Sample | None = None) -> None:
+    def forward(self, T_cw: wp.array, *, sample: Sample | None = None, window: Window | None = None) -> None:
         """Render from ``T_cw`` ([1] mat44, world to camera); identities in ``sample``, or everywhere.
+
+        With a ``window``, of whole tiles, nothing is outside, and inside every bit is as without.
 
         Nothing is read back on CUDA or in a recording: where tile slots do not suffice the farthest splats
         are left out, until :meth:`make_room`; see also :meth:`render`.
         """
-        self._bin(T_cw)
+        self._bin(T_cw, window)
         self._sample = sample
         composite(
             self.splats,
@@ -140,12 +142,12 @@ class Renderer(Stateful):
             sample=self._sample,
         )
 
-    def render(self, T_wc: Float64) -> None:
-        """Render all that is seen from ``T_wc`` [4, 4]; wait for the device."""
+    def render(self, T_wc: Float64, *, window: Window | None = None) -> None:
+        """Render all that is seen from ``T_wc`` [4, 4], or in a ``window``; wait for the device."""
         T_cw = self.pose_array(T_wc)
-        self.forward(T_cw)
+        self.forward(T_cw, window=window)
         if self.make_room():
-            self.forward(T_cw)
+            self.forward(T_cw, window=window)
 
     def adjoint(self, T_cw: wp.array, *, pose: bool = False, mean2d_gradient_norms: bool = False) -> None:
         """Chain ``d_image`` and ``d_transmittance`` to ``gradients``; after :meth:`forward`.
@@ -269,18 +271,18 @@ class Renderer(Stateful):
         self._allocate_tiles(int(peak * _GROWTH))
         return True
 
-    def provide(self, T_cw: wp.array) -> None:
-        """Make room for a view's tile slots beforehand."""
-        self._bin(T_cw)
+    def provide(self, T_cw: wp.array, *, window: Window | None = None) -> None:
+        """Make room for a view's tile slots, or those of a ``window`` of it, beforehand."""
+        self._bin(T_cw, window)
         self.make_room()
 
-    def _bin(self, T_cw: wp.array) -> None:
+    def _bin(self, T_cw: wp.array, window: Window | None = None) -> None:
         self._reserve()
         m = self._map.parameters
         project(
             m.means, m.quats, m.log_scales, m.opacity_logits, m.colours,
             self._identities,
-            T_cw=T_cw, camera=self._intrinsics, count=self.rows, out=self.splats,
+            T_cw=T_cw, camera=self._intrinsics, count=self.rows, out=self.splats, window=window,
         )  # fmt: skip
         while True:
             try:

@@ -46,12 +46,12 @@ def test_best_views_see_the_object(run_folder):
     run = load_run(run_folder)
     view = MapView(run.gaussians, run.camera)
     chosen = run.gaussians.object_ids == 5
-    found = best_views(view, run.poses, chosen, run.gaussians.means[chosen], count=3)
+    found = best_views(view, run.poses, chosen, count=3)
     assert len(found) == 3 and 4 not in found  # the last looks away
     areas = [view.coverage(run.poses[i], chosen)[0].sum() for i in found]
     assert areas == sorted(areas, reverse=True)
     away = run.poses[4:]
-    assert best_views(view, away, chosen, run.gaussians.means[chosen], count=3) == []
+    assert best_views(view, away, chosen, count=3) == []
 
 
 def test_crop():

@@ -178,3 +178,21 @@ def test_a_recording_that_lacks_slots_says_so(device: str, rng: np.random.Genera
 def record(renderer: Renderer, pose: wp.array) -> None:
     if renderer.image.device.is_capturing:
         renderer.forward(pose)
+
+
+def test_a_window_of_the_picture_is_that_part_to_the_bit(device: str, rng: np.random.Generator) -> None:
+    _, renderer = made(device, scene(80, rng))
+    renderer.render(np.eye(4))
+    whole = renderer.plane(renderer.image), renderer.plane(renderer.median_depth)
+    assert np.abs(whole[0][:3]).max() > 0.1
+
+    renderer.render(np.eye(4), window=(16, 16, 48, 37))
+
+    for before, after in zip(whole, (renderer.image, renderer.median_depth), strict=True):
+        np.testing.assert_array_equal(renderer.plane(after)[..., 16:, 16:48], before[..., 16:, 16:48])
+    shown = renderer.plane(renderer.transmittance)
+    assert shown[16:, 16:48].min() < 0.9
+    shown[16:, 16:48] = 1.0
+    assert (shown == 1.0).all()
+    renderer.render(np.eye(4))
+    np.testing.assert_array_equal(renderer.plane(renderer.image), whole[0])

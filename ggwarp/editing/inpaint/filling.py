@@ -25,6 +25,7 @@ from ggwarp.editing.inpaint.object_views import ObjectView, share_in_the_clear, 
 from ggwarp.editing.inpaint.plane_texture import Surface, paint
 from ggwarp.editing.map_view import MapView, best_views
 from ggwarp.editing.progress import Progress, part_of, silent
+from ggwarp.editing.windows import window_of
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from ggwarp.map.gaussians import SH_C0, Gaussians, join
@@ -87,19 +88,23 @@ def fill_removed(
     kept = remove(whole, removed)
     progress("looking for views", 0.0)
     view, rest = MapView(whole, camera, device=device), MapView(kept, camera, device=device)
-    indices = best_views(view, poses, removed, whole.means[removed], count=config.views)
+    indices = best_views(view, poses, removed, count=config.views)
     if not indices or not len(kept):
         return kept, 0
     poses_of_views = [poses[i] for i in indices]
+    coverages = [view.coverage(T_wc, removed)[0] for T_wc in poses_of_views]
     clear = part_of(progress, *_CLEAR)
-    seen, behind = share_in_the_clear(view, rest, poses_of_views, removed, progress=clear)
+    seen, behind = share_in_the_clear(view, rest, poses_of_views, coverages, removed, progress=clear)
     hidden = behind & (seen < config.least_seen)
     if hidden.all():
         return kept, 0
     kept = remove(kept, hidden)
     rest = MapView(kept, camera, device=device)
     progress("looking at what is behind", _CLEAR[1])
-    object_views = [view_object(view, rest, T_wc, removed) for T_wc in poses_of_views]
+    object_views = [
+        view_object(view, rest, T_wc, coverage)
+        for T_wc, coverage in zip(poses_of_views, coverages, strict=True)
+    ]
     progress("laying out surfaces", _SURFACES)
     holes = find_holes(kept, object_views, camera, config.holes)
     # What lies on a hole, though no view ever saw it rightly, makes room.
@@ -205,7 +210,7 @@ def _wanted_views(
     holes = [surface.hole for surface in surfaces]
     wanted = []
     for object_view in object_views[: config.fit.views]:
-        seen = view.render(object_view.T_wc)
+        seen = view.render(object_view.T_wc, window=window_of(object_view.touched, camera))
         whole = np.where(object_view.touched[..., None], seen.rgb, object_view.rgb)
         rgb = np.rint(255.0 * whole).astype(np.uint8)
         depth = np.where(object_view.touched, seen.surface_depth, object_view.depth)

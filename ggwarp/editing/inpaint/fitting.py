@@ -11,8 +11,11 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ggwarp.editing.progress import Progress, silent
+from ggwarp.editing.windows import footprints, touching, window_round
 from ggwarp.geometry.camera import Camera
+from ggwarp.kernels.losses.ssim import REACH
 from ggwarp.kernels.optim.adam import AdamRates
+from ggwarp.kernels.raster.project import Window
 from ggwarp.map.gaussian_map import PARAMETERS, GaussianMap
 from ggwarp.map.gaussian_optimiser import GaussianOptimiser, UploadedView
 from ggwarp.map.gaussians import Gaussians
@@ -20,6 +23,8 @@ from ggwarp.map.renderer import Renderer
 from ggwarp.types import Float32, Float64
 
 _RATES = AdamRates(means=1e-4, quats=2e-3, log_scales=5e-3, opacity=0.02, colours=5e-3)
+
+_MARGIN = 2 * REACH  # pixels by which what is fitted may grow, and by which pictures are compared
 
 
 @dataclass(frozen=True)
@@ -63,10 +68,35 @@ def fit(
 ) -> Gaussians:
     """Return ``gaussians`` with those of ``free`` [n] fitted to ``views`` by colour and depth.
 
-    The others keep every bit; ids and identities are left alone.
+    The others keep every bit; ids and identities are left alone. Of each view only that part is rendered
+    in which one of ``free`` shows.
     """
     if not views or not free.any():
         return gaussians
+    movable = gaussians.take(free)
+    windows = [window_round(footprints(movable, camera, v.T_wc), camera, margin=_MARGIN) for v in views]
+    near = free.copy()
+    for view, window in zip(views, windows, strict=True):
+        if window is not None:
+            near |= touching(footprints(gaussians, camera, view.T_wc), window)
+    fitted = _fitted(gaussians.take(near), free[near], views, windows, camera, config, device, progress)
+    merged = {n: getattr(gaussians, n).copy() for n in PARAMETERS if n != "identities"}
+    for name, values in merged.items():
+        values[near] = getattr(fitted, name)
+    return replace(gaussians, **merged)
+
+
+def _fitted(
+    gaussians: Gaussians,
+    free: NDArray[np.bool_],
+    views: list[WantedView],
+    windows: list[Window | None],
+    camera: Camera,
+    config: RefitConfig,
+    device: Any,
+    progress: Progress,
+) -> Gaussians:
+    """Return ``gaussians`` after the fit to the views' windows; None: a view shows nothing that is free."""
     model = GaussianMap(device=device, has_identity=False, capacity=len(gaussians))
     model.append(gaussians)
     renderer = Renderer(model, camera)
@@ -81,10 +111,11 @@ def fit(
         )
         for view in views
     ]
-    for target in targets:
-        renderer.provide(target.T_cw)
+    for target, window in zip(targets, windows, strict=True):
+        renderer.provide(target.T_cw, window=window)
     for iteration in range(config.iterations):
         progress("fitting", iteration / config.iterations)
-        optimiser.step(targets[iteration % len(targets)])
-    fitted = model.to_host()
-    return replace(gaussians, **{n: getattr(fitted, n) for n in PARAMETERS if n != "identities"})
+        window = windows[iteration % len(targets)]
+        if window is not None:
+            optimiser.step(targets[iteration % len(targets)], window=window)
+    return model.to_host()

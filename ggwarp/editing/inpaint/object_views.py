@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ggwarp.editing.map_view import MapView
 from ggwarp.editing.progress import Progress, silent
+from ggwarp.editing.windows import window_of
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from ggwarp.types import Float32, Float64
@@ -29,8 +30,8 @@ class ObjectView:
         rgb: [h, w, 3] colours, 0..1, the object in place.
         depth: [h, w] of the surface, metres, the object in place.
         coverage: [h, w] the object's share of each pixel, 0..1.
-        left: [h, w] opacity of the map without the object.
-        left_depth: [h, w] of the surface of the map without the object, metres.
+        left: [h, w] opacity of the map without the object, where the object is seen at all.
+        left_depth: [h, w] of the surface of the map without the object, metres, there.
     """
 
     T_wc: Float64
@@ -51,21 +52,32 @@ class ObjectView:
         return self.coverage > _TOUCHED
 
 
-def view_object(whole: MapView, kept: MapView, T_wc: Float64, selected: Bools) -> ObjectView:
-    """Return what ``T_wc`` shows of ``whole``, and of ``kept``, the map without its ``selected`` [n]."""
-    after, before = kept.render(T_wc), whole.render(T_wc)
+def view_object(whole: MapView, kept: MapView, T_wc: Float64, coverage: Float32) -> ObjectView:
+    """Return what ``T_wc`` shows of ``whole``, and of ``kept``, the map without an object.
+
+    Args:
+        coverage: [h, w] the object's share of each pixel, 0..1.
+    """
+    touched = window_of(coverage > _TOUCHED, whole.camera)
+    after, before = kept.render(T_wc, window=touched), whole.render(T_wc)
     return ObjectView(
         T_wc,
         rgb=before.rgb,
         depth=before.surface_depth,
-        coverage=whole.coverage(T_wc, selected)[0],
+        coverage=coverage,
         left=after.opacity,
         left_depth=after.surface_depth,
     )
 
 
 def share_in_the_clear(
-    whole: MapView, rest: MapView, poses: list[Float64], selected: Bools, *, progress: Progress = silent
+    whole: MapView,
+    rest: MapView,
+    poses: list[Float64],
+    coverages: list[Float32],
+    selected: Bools,
+    *,
+    progress: Progress = silent,
 ) -> tuple[Float32, Bools]:
     """Return how much of each Gaussian was ever seen apart from an object, and which the object hid.
 
@@ -75,23 +87,33 @@ def share_in_the_clear(
     Args:
         whole: the map, in which the object is ``selected`` [n]. rest: the map without it, m Gaussians.
         poses: views that show the object, [4, 4] camera-to-world each.
+        coverages: [h, w] of each view: the object's share of each pixel, 0..1.
 
     Returns:
-        [m] 0..1, the share in the best of the views that show it well; [m] those that show
-        where the object was.
+        [m] 0..1, the share in the best of the views that show it well, 0 for those that the object did not
+        hide; [m] those that show where the object was.
     """
-    clear, shown, behind = [], [], []
-    for k, T_wc in enumerate(poses):
-        progress("finding what it hid", k / len(poses))
-        touched = whole.coverage(T_wc, selected)[0] > _TOUCHED
-        clear.append(whole.weights(T_wc, ~touched)[0][~selected])
-        everywhere, there = rest.weights(T_wc, np.ones_like(touched), touched)
-        shown.append(everywhere)
-        behind.append(there)
-    total = np.stack(shown)
-    well = total > _SHOWS * total.max(axis=0)
-    share = np.divide(np.stack(clear), total, out=np.zeros_like(total), where=well)
-    return share.max(axis=0), np.stack(behind).max(axis=0) > 0.0
+    touched = [coverage > _TOUCHED for coverage in coverages]
+    behind = np.zeros(len(rest.gaussians), bool)
+    for k, (T_wc, there) in enumerate(zip(poses, touched, strict=True)):
+        progress("finding what it hid", 0.5 * k / len(poses))
+        window = window_of(there, rest.camera)
+        if window is not None:
+            behind |= rest.weights(T_wc, there, window=window)[0] > 0.0
+    share = np.zeros(len(behind), np.float32)
+    clear, shown = [], []
+    for k, (T_wc, there) in enumerate(zip(poses, touched, strict=True)):
+        progress("finding what it hid", 0.5 + 0.5 * k / len(poses))
+        window = rest.window_of(T_wc, behind)
+        if window is not None:
+            clear.append(whole.weights(T_wc, ~there, window=window)[0][~selected][behind])
+            shown.append(rest.weights(T_wc, np.ones_like(there), window=window)[0][behind])
+    if shown:
+        total = np.stack(shown)
+        well = total > _SHOWS * total.max(axis=0)
+        shares = np.divide(np.stack(clear), total, out=np.zeros_like(total), where=well)
+        share[behind] = shares.max(axis=0)
+    return share, behind
 
 
 def world_rays(camera: Camera, T_wc: Float64, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Float64:

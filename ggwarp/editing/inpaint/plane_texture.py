@@ -11,14 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggwarp.editing.inpaint.holes import PlaneHole
-from ggwarp.editing.inpaint.image_inpainting import Inpaint, Picture
+from ggwarp.editing.inpaint.image_inpainting import SLOPE, Inpaint, Picture
 from ggwarp.editing.inpaint.object_views import ObjectView, world_pixels
+from ggwarp.editing.map_view import crop_to
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from ggwarp.types import Float32, Float64
 
 Bools = NDArray[np.bool_]
 
+_CONTEXT = int(3.0 * SLOPE)  # cells round the needed ones that the inpainter sees; it sees a slope die out
 _SHARPEST = 2.0  # by this power views that show a surface better count more
 
 
@@ -71,9 +73,13 @@ def paint(
         weight[index] += share
     known = weight > 0.0
     rgb = np.divide(total, weight[:, None], out=np.zeros_like(total), where=known[:, None])
-    unknown = ~known.reshape(rows, columns) | np.pad(hole.needed, margin)
+    needed = np.pad(hole.needed, margin)
+    unknown = ~known.reshape(rows, columns) | needed
     picture = np.rint(255.0 * np.clip(rgb, 0.0, 1.0)).astype(np.uint8).reshape(rows, columns, 3)
-    return Surface(hole, inpaint(picture, unknown), margin)
+    # What lies farther off than a slope goes on matters to none of the needed cells, and costs much.
+    part = crop_to(needed, margin=_CONTEXT)
+    picture[part] = inpaint(np.ascontiguousarray(picture[part]), np.ascontiguousarray(unknown[part]))
+    return Surface(hole, picture, margin)
 
 
 def _shown(

@@ -38,6 +38,9 @@ LOG_ALPHA_MIN = wp.constant(-math.log(255.0))
 MAX_REACH = wp.constant(2.0 * math.log(255.0) * 1.01)
 SH_C0 = wp.constant(0.28209479177387814)
 
+Window = tuple[int, int, int, int]
+"""A part of an image: columns x0 to x1 and rows y0 to y1, half open, as (x0, y0, x1, y1)."""
+
 
 @dataclass(frozen=True)
 class Splats:
@@ -155,17 +158,17 @@ def depth_slope(w0: wp.vec3, w1: wp.vec3, wz: wp.vec3):
 
 
 @wp.func
-def _off_screen(centre: float, reach2: float, size: int):
-    beyond = wp.max(-centre, centre - float(size - 1))
+def _off_screen(centre: float, reach2: float, low: int, high: int):
+    beyond = wp.max(float(low) - centre, centre - float(high - 1))
     return beyond > 0.0 and beyond * beyond > reach2
 
 
 @wp.func
-def _tile_span(centre: float, extent: float, size: int):
-    """First and last-plus-one tile that hold a pixel within ``extent`` of ``centre``."""
+def _tile_span(centre: float, extent: float, low: int, high: int):
+    """First and last-plus-one tile with a pixel from ``low`` to ``high`` (half open) near ``centre``."""
     # Clamped before the conversion: a float outside the range of int is undefined.
-    first = int(wp.clamp(wp.ceil(centre - extent), 0.0, float(size)))
-    last = int(wp.clamp(wp.floor(centre + extent), -1.0, float(size - 1)))
+    first = int(wp.clamp(wp.ceil(centre - extent), float(low), float(high)))
+    last = int(wp.clamp(wp.floor(centre + extent), float(low) - 1.0, float(high - 1)))
     begin = first / TILE
     end = last / TILE + 1
     if last < first:
@@ -184,6 +187,7 @@ def _project(
     identities: wp.array[vec16],
     T_cw: wp.array[wp.mat44],
     camera: CameraIntrinsics,
+    window: wp.vec4i,
     rows: wp.array[vec16],
     depths: wp.array[float],
     tile_rects: wp.array[wp.vec4i],
@@ -202,7 +206,7 @@ def _project(
     # largest scale, 1 % for rounding) tells without the rest.
     largest = wp.exp(wp.max(log_scales[i]))
     bound = MAX_REACH * (largest * largest * (wp.dot(row_x, row_x) + wp.dot(row_y, row_y)) + LOW_PASS)
-    if _off_screen(u, bound, camera.width) or _off_screen(v, bound, camera.height):
+    if _off_screen(u, bound, window[0], window[2]) or _off_screen(v, bound, window[1], window[3]):
         return
     opacity = 1.0 / (1.0 + wp.exp(-opacity_logits[i]))
     if not (opacity * 255.0 > 1.0):
@@ -229,8 +233,8 @@ def _project(
         return
     extent_x = wp.sqrt(reach * xx)
     extent_y = wp.sqrt(reach * yy)
-    x0, x1 = _tile_span(u, extent_x, camera.width)
-    y0, y1 = _tile_span(v, extent_y, camera.height)
+    x0, x1 = _tile_span(u, extent_x, window[0], window[2])
+    y0, y1 = _tile_span(v, extent_y, window[1], window[3])
     if x0 >= x1 or y0 >= y1:
         return
     tile_rects[i] = wp.vec4i(x0, y0, x1, y1)
@@ -259,11 +263,12 @@ def project(
     camera: CameraIntrinsics,
     count: int,
     out: Splats,
+    window: Window | None = None,
 ) -> None:
     """Project the first ``count`` Gaussians to the screen.
 
-    Culled are Gaussians nearer than 0.05 m, off the screen, whose alpha stays under 1/255, or with
-    anything not finite.
+    Culled are Gaussians nearer than 0.05 m, off the screen or the window, whose alpha stays under 1/255,
+    or with anything not finite.
 
     Args:
         means: [>= count] vec3, world frame, metres.
@@ -276,11 +281,13 @@ def project(
         camera: see :func:`ggwarp.kernels.camera.intrinsics_of`.
         count: rows in use.
         out: see :class:`Splats`.
+        window: the part of the image that matters, whole tiles; None: all of it.
     """
+    shown = wp.vec4i(*(window or (0, 0, camera.width, camera.height)))
     launch_split(
         _project,
         count,
-        inputs=[means, quats, log_scales, opacity_logits, colours, identities, T_cw, camera],
+        inputs=[means, quats, log_scales, opacity_logits, colours, identities, T_cw, camera, shown],
         outputs=[out.rows, out.depths, out.tile_rects],
         device=means.device,
     )

@@ -8,7 +8,7 @@ from ggwarp.editing.edits import extract, remove
 from ggwarp.editing.inpaint.filling import fill_removed
 from ggwarp.editing.inpaint.holes import FREE, SEEN, UNSEEN, find_holes
 from ggwarp.editing.inpaint.image_inpainting import inpaint_shade
-from ggwarp.editing.inpaint.object_views import share_in_the_clear, view_object
+from ggwarp.editing.inpaint.object_views import ObjectView, share_in_the_clear, view_object
 from ggwarp.editing.inpaint.plane_texture import paint, sampled
 from ggwarp.editing.map_view import MapView
 from ggwarp.geometry.camera import Camera
@@ -53,6 +53,10 @@ def _hidden(points: np.ndarray) -> np.ndarray:
     return hidden
 
 
+def _object_views(whole: MapView, kept: MapView, board: np.ndarray) -> list[ObjectView]:
+    return [view_object(whole, kept, T_wc, whole.coverage(T_wc, board)[0]) for T_wc in POSES]
+
+
 @pytest.fixture(scope="module")
 def wall() -> Gaussians:
     points = np.insert(_grid(-2.0, 2.0, 0.04), 2, WALL, axis=1)
@@ -71,7 +75,7 @@ def test_the_hole_is_what_nobody_saw(whole, wall, device):
     board = whole.object_ids == 5
     kept = remove(whole, board)
     views = MapView(whole, CAMERA, device=device), MapView(kept, CAMERA, device=device)
-    holes = find_holes(kept, [view_object(*views, T_wc, board) for T_wc in POSES], CAMERA)
+    holes = find_holes(kept, _object_views(*views, board), CAMERA)
     assert len(holes) == 1
     hole = holes[0]
     assert abs(hole.plane.normal[2]) > 0.999 and abs(hole.plane.origin[2] - WALL) < 0.01
@@ -123,12 +127,15 @@ def test_what_was_never_seen_apart_from_the_board_goes_with_it(whole, device):
     scene = join(whole, _flat(at, 2, np.tile([0.9, 0.9, 0.1], (len(at), 1)), 7))
     board = scene.object_ids == 5
     views = MapView(scene, CAMERA, device=device), MapView(remove(scene, board), CAMERA, device=device)
-    share, behind = share_in_the_clear(*views, list(POSES), board)
+    covers = [views[0].coverage(T_wc, board)[0] for T_wc in POSES]
+    share, behind = share_in_the_clear(*views, list(POSES), covers, board)
     ids = scene.object_ids[~board]
     assert share[ids == 7].max() < 0.1 and behind[ids == 7].all()
     far = (np.abs(scene.means[~board][:, :2]) > 0.5).any(axis=1) & (np.abs(scene.means[~board][:, 0]) < 0.9)
     far &= np.abs(scene.means[~board][:, 1]) < 0.7
-    assert share[far].min() > 0.9 and not behind[far].any()
+    assert not behind[far].any()
+    beside = (scene.object_ids[~board] == 1) & behind & (share > 0.9)
+    assert beside.sum() > 20  # wall that one view hides and another shows
     filled, added = fill_removed(scene, board, CAMERA, POSES, device=device)
     assert not (filled.object_ids[:-added] == 7).any()
     old = whole.object_ids == 1
@@ -139,7 +146,7 @@ def test_a_plane_is_painted_as_it_was_seen(whole, device):
     board = whole.object_ids == 5
     kept = remove(whole, board)
     views = MapView(whole, CAMERA, device=device), MapView(kept, CAMERA, device=device)
-    views = [view_object(*views, T_wc, board) for T_wc in POSES]
+    views = _object_views(*views, board)
     hole = find_holes(kept, views, CAMERA)[0]
     surface = paint(hole, views, CAMERA, inpaint_shade, margin=8, tolerance=0.01)
     at = hole.plane.points(hole.plane.coordinates(hole.centres(hole.states == SEEN))[:, :2])
