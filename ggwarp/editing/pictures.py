@@ -51,6 +51,8 @@ def print_table(run: SavedRun) -> None:
 
 def _row(o: ObjectRecord) -> list[str | Text]:
     size = " x ".join(f"{2.0 * h:.2f}" for h in o.oriented_box.half_sizes)
+    if o.oriented_box.sigmas is not None:
+        size += f" ± {max(o.oriented_box.sigmas):.2f}"
     centre = " ".join(f"{c:.2f}" for c in o.centre)
     hexadecimal = "#{:02x}{:02x}{:02x}".format(*o.colour)
     frames = "-" if o.first_frame is None else f"{o.first_frame}-{o.last_frame}"

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ggwarp.geometry.boxes import Extents
 from ggwarp.types import Float32
 
 SH_C0 = 0.28209479177387814
@@ -49,6 +50,10 @@ class Gaussians:
         """Return the arrays that are there, by name."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}
         return {name: array for name, array in values.items() if array is not None}
+
+    def extents(self) -> Extents:
+        """Return how far they reach."""
+        return Extents.of(self.quats, self.log_scales, self.opacity_logits)
 
     def take(self, rows: NDArray[np.bool_] | NDArray[np.integer[Any]]) -> Gaussians:
         """Return the Gaussians of ``rows``: [n] bool which of them, or [k] row numbers, which may repeat."""

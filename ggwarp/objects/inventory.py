@@ -10,7 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ggwarp.geometry.boxes import Box, OrientedBox, Vector, axis_aligned_box, main_parts, oriented_box
+from ggwarp.geometry.boxes import (
+    Box,
+    Extents,
+    OrientedBox,
+    Vector,
+    axis_aligned_box,
+    main_parts,
+    oriented_box,
+)
 from ggwarp.io.printable import shown
 from ggwarp.map.gaussians import SH_C0
 from ggwarp.objects.class_table import NO_OBJECT
@@ -72,6 +80,8 @@ class ObjectRecord:
             "quat": _rounded(self.oriented_box.quat, 6),
             "half_sizes": _rounded(self.oriented_box.half_sizes),
         }
+        if self.oriented_box.sigmas is not None:
+            values["oriented_box"]["sigmas"] = _rounded(self.oriented_box.sigmas)
         values["centre"] = _rounded(self.centre)
         if self.confidence is not None:
             values["confidence"] = round(self.confidence, 4)
@@ -98,6 +108,7 @@ class ObjectRecord:
                 _vector(_numbers(oriented, "centre", 3)),
                 _quat(_numbers(oriented, "quat", 4)),
                 _vector(_numbers(oriented, "half_sizes", 3)),
+                None if oriented.get("sigmas") is None else _vector(_numbers(oriented, "sigmas", 3)),
             ),
             centre=_vector(_numbers(entry, "centre", 3)),
             colour=_colour(_numbers(entry, "colour", 3, least=0.0, most=255.0)),
@@ -117,6 +128,7 @@ def inventory(
     sources: dict[int, tuple[int, ...]] | None = None,
     visibility: ObjectVisibility | None = None,
     probabilities: Float32 | None = None,
+    extents: Extents | None = None,
 ) -> list[ObjectRecord]:
     """Describe every object of a map.
 
@@ -128,6 +140,7 @@ def inventory(
         sources: id -> the masks' ids that became it, where they are not itself alone.
         visibility: what the keyframes showed, by id.
         probabilities: [n] of the class that gave each Gaussian its id.
+        extents: how far the Gaussians reach; None: boxes end at their centres.
 
     Returns:
         One record per object, by id.
@@ -143,7 +156,8 @@ def inventory(
         source_ids = (sources or {}).get(identifier, (identifier,))
         seen = visibility.of([identifier]) if visibility is not None else None
         rgb = np.clip(0.5 + SH_C0 * colours[members].mean(0), 0.0, 1.0)
-        body = means[members][main_parts(means[members])]
+        own = members[main_parts(means[members])]
+        body, reach = means[own], None if extents is None else extents.take(own)
         records.append(
             ObjectRecord(
                 id=identifier,
@@ -151,8 +165,8 @@ def inventory(
                 class_name=(names or {}).get(identifier),
                 label=None,
                 count=len(members),
-                box=axis_aligned_box(body),
-                oriented_box=oriented_box(body),
+                box=axis_aligned_box(body, reach),
+                oriented_box=oriented_box(body, reach),
                 centre=_vector(body.mean(axis=0, dtype=np.float64)),
                 colour=_colour(np.rint(255.0 * rgb)),
                 first_frame=None if seen is None else seen.first,
@@ -169,6 +183,7 @@ def refreshed(
     means: Float32,
     colours: Float32,
     object_ids: NDArray[np.integer[Any]] | None,
+    extents: Extents | None = None,
 ) -> list[ObjectRecord]:
     """Return ``records`` with counts, boxes, centres and colours of an edited map.
 
@@ -179,7 +194,7 @@ def refreshed(
         dataclasses.replace(new, **{name: getattr(old[new.id], name) for name in FROM_KEYFRAMES})
         if new.id in old
         else new
-        for new in inventory(means, colours, object_ids)
+        for new in inventory(means, colours, object_ids, extents=extents)
     ]
 
 

@@ -229,6 +229,7 @@ class ObjectLearning(Stateful):
             sources=sources,
             visibility=self.visibility.renamed(self.classes.ids),
             probabilities=probabilities,
+            extents=gaussians.extents(),
         )
         return [_as_told(r, self._told.get(r.id, {}), anew=r.id in sources) for r in records]
 

@@ -94,7 +94,8 @@ class SavedRun:
 
     def edited(self, gaussians: Gaussians, edit: dict[str, Any]) -> SavedRun:
         """Return this run with ``gaussians`` for a map, its objects described anew, and ``edit`` recorded."""
-        objects = refreshed(list(self.objects), gaussians.means, gaussians.colours, gaussians.object_ids)
+        g = gaussians
+        objects = refreshed(list(self.objects), g.means, g.colours, g.object_ids, g.extents())
         return dataclasses.replace(
             self, gaussians=gaussians, objects=tuple(objects), edits=(*self.edits, edit)
         )
@@ -124,7 +125,9 @@ def load_run(folder: str | Path) -> SavedRun:
     if file.is_file():
         objects, edits = _read_objects(file)
     else:
-        objects, edits = tuple(inventory(gaussians.means, gaussians.colours, gaussians.object_ids)), ()
+        g = gaussians
+        objects = tuple(inventory(g.means, g.colours, g.object_ids, extents=g.extents()))
+        edits = ()
     return SavedRun(folder, gaussians, objects, camera, poses, classifier, edits)
 
 

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from ggwarp.geometry import se3
-from ggwarp.geometry.boxes import axis_aligned_box, main_parts, oriented_box, separate_parts
+from ggwarp.geometry.boxes import Extents, axis_aligned_box, main_parts, oriented_box, separate_parts
 
 SIZES = np.array([1.2, 0.5, 0.3])
 
@@ -78,3 +78,49 @@ def test_the_upright_box_is_trimmed(rng):
     points[0] = -7.0
     box = axis_aligned_box(points)
     assert min(box.low) >= 0.0 and max(box.high) <= 1.0
+
+
+def _turned(rng, n, R):
+    """Quaternions [n, 4] of ``R`` times nothing, and sizes and opacities of as many Gaussians."""
+    quats = np.tile(se3.quat_from_matrix(R), (n, 1)).astype(np.float32) * rng.uniform(0.5, 2.0, (n, 1))
+    log_scales = np.log(np.tile([0.04, 0.02, 0.01], (n, 1))).astype(np.float32)
+    return quats, log_scales
+
+
+def test_extents_are_the_ellipsoids(rng):
+    """Along any direction d the variance is d^T S d, and half the opacity is left where the box ends."""
+    R = se3.so3_exp([0.4, -0.2, 0.9])
+    quats, log_scales = _turned(rng, 3, R)
+    extents = Extents.of(quats, log_scales, np.log(np.float32([0.95 / 0.05, 0.6 / 0.4, 0.3 / 0.7])))
+    axes = se3.so3_exp([0.1, 0.7, -0.3])
+    covariance = R @ np.diag([0.04, 0.02, 0.01]) ** 2 @ R.T
+    expected = np.sqrt(np.diag(axes.T @ covariance @ axes))
+    np.testing.assert_allclose(extents.along(axes), np.tile(expected, (3, 1)), rtol=1e-5)
+    alphas = np.array([0.95, 0.6, 0.3]) * np.exp(-0.5 * extents.reaches**2)
+    np.testing.assert_allclose(alphas, [0.5, 0.5, 0.3], rtol=1e-6)
+
+
+def test_a_box_ends_where_its_gaussians_become_half_transparent(rng):
+    R = se3.so3_exp([0.3, -0.4, 0.6])
+    n = 4000
+    points = (_surface(rng, n) * (SIZES - 0.06) / SIZES) @ R.T
+    sigma = 0.03 / np.sqrt(2.0 * np.log(2.0 * 0.9))
+    round_ones = np.full((n, 3), np.log(sigma), np.float32)
+    extents = Extents.of(_turned(rng, n, R)[0], round_ones, np.full(n, np.log(0.9 / 0.1), np.float32))
+    box = oriented_box(points, extents)
+    np.testing.assert_allclose(2.0 * np.array(box.half_sizes), SIZES, atol=0.02)
+    np.testing.assert_allclose(box.sigmas, np.sqrt(2.0) * sigma, rtol=1e-4)
+    upright = axis_aligned_box(points @ R, extents)
+    np.testing.assert_allclose(np.subtract(upright.high, upright.low), SIZES, atol=0.02)
+    assert oriented_box(points).sigmas is None
+    clear = Extents.of(_turned(rng, n, R)[0], round_ones, np.full(n, -1.0, np.float32))
+    np.testing.assert_allclose(oriented_box(points, clear).half_sizes, oriented_box(points).half_sizes)
+
+
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_few_gaussians_have_a_box_and_its_uncertainty(rng, count):
+    quats, log_scales = _turned(rng, count, np.eye(3))
+    quats[0] = 0.0
+    box = oriented_box(rng.uniform(size=(count, 3)), Extents.of(quats, log_scales, np.full(count, 2.0)))
+    assert np.isfinite([*box.centre, *box.quat, *box.half_sizes, *box.sigmas]).all()
+    assert min(box.sigmas) >= 0.0

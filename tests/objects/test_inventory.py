@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ggwarp.geometry.boxes import Extents
 from ggwarp.objects.inventory import ObjectRecord, inventory, refreshed
 from ggwarp.objects.visibility import ObjectVisibility
 
@@ -53,7 +54,12 @@ def test_the_file_keeps_the_record(rng):
     means = rng.normal(size=(100, 3)).astype(np.float32)
     ids = np.repeat([3, 4], 50)
     probabilities = rng.uniform(0.3, 1.0, 100).astype(np.float32)
-    for record in inventory(means, means, ids, names={3: "globe"}, probabilities=probabilities):
+    quats, logits = rng.normal(size=(100, 4)), rng.normal(size=100)
+    extents = Extents.of(quats, np.full((100, 3), -3.0), logits)
+    options = {"names": {3: "globe"}, "probabilities": probabilities}
+    known = inventory(means, means, ids, **options, extents=extents)
+    assert all(record.oriented_box.sigmas is not None for record in known)
+    for record in [*known, *inventory(means, means, ids, **options)]:
         entry = json.loads(json.dumps(record.to_json()))
         assert {"id", "count", "box", "colour", "class"} <= set(entry)
         again = ObjectRecord.from_json(entry)
