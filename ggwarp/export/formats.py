@@ -129,6 +129,12 @@ FORMATS: dict[str, Format] = {
         "y-down",
         ("film", "write_film"),
     ),
+    "orbit": Format(
+        "one turn about the map or about objects, from above, 8 seconds of animated WebP",
+        ".orbit.webp",
+        "y-down",
+        ("film", "write_orbit"),
+    ),
     "rrd": Format(
         "a recording for the rerun viewer: map, path, boxes, figures",
         ".rrd",

@@ -4,13 +4,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ggwarp.geometry.boxes import Extents
 from ggwarp.types import Float32
+
+if TYPE_CHECKING:
+    from ggwarp.geometry.boxes import Extents
 
 SH_C0 = 0.28209479177387814
 """Degree-0 spherical harmonic: colour = 0.5 + C0 f."""
@@ -53,6 +55,8 @@ class Gaussians:
 
     def extents(self) -> Extents:
         """Return how far they reach."""
+        from ggwarp.geometry.boxes import Extents  # brings OpenCV, which files need not
+
         return Extents.of(self.quats, self.log_scales, self.opacity_logits)
 
     def take(self, rows: NDArray[np.bool_] | NDArray[np.integer[Any]]) -> Gaussians:

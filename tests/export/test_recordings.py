@@ -13,9 +13,12 @@ from PIL import Image
 from ggwarp.datasets import open_dataset
 from ggwarp.editing.map_view import MapView
 from ggwarp.export.__main__ import main
+from ggwarp.export.film import orbit, seen_sides
+from ggwarp.export.scene import prepare
 from ggwarp.geometry import se3
-from ggwarp.geometry.upright import rotation_to
+from ggwarp.geometry.upright import given_up, rotation_to
 from ggwarp.io.trajectory import read_tum
+from ggwarp.results.saved_run import load_run
 from small_run import CAMERA, decibels
 
 
@@ -71,6 +74,43 @@ def test_a_film_shows_the_path(run_folder: Path, scene) -> None:
         film.seek(number)
         seen = MapView(scene, CAMERA).render(poses[number]).rgb
         assert decibels(np.asarray(film.convert("RGB")) / 255.0, seen) > 25.0
+
+
+def test_an_orbit_turns_about_an_object_upright(run_folder: Path) -> None:
+    assert main([str(run_folder), "--up", "-y", "--to", "orbit", "--objects", "5", "--every", "30"]) == 0
+    film = Image.open(run_folder / "export" / "5.orbit.webp")
+    assert (film.n_frames, film.size) == (4, (96, 64))  # type: ignore[attr-defined]
+    for number in range(4):
+        film.seek(number)
+        red = np.asarray(film.convert("RGB"))[..., 0] > 100
+        rows, columns = np.nonzero(red)
+        # The cube is in the middle, whole, from each side.
+        assert abs(rows.mean() - 31.5) < 6.0 and abs(columns.mean() - 47.5) < 6.0
+        assert 100 < red.sum() < 3000 and not (red[0].any() or red[-1].any())
+
+
+def test_an_orbit_looks_past_the_outer_side_of_a_wall(run_folder: Path, scene) -> None:
+    run = load_run(run_folder)
+    wall = scene.object_ids == 1
+    inwards = seen_sides(scene, run.poses)
+    assert (inwards[wall, 2] < 0.0).mean() > 0.99
+    prepared = prepare(run, names=[], convention="world", up=given_up([0.0, -1.0, 0.0]))
+    poses = list(orbit(scene, prepared))
+    assert len(poses) == 120
+    for T_wc in poses[::20]:
+        assert np.allclose(T_wc[:3, :3].T @ T_wc[:3, :3], np.eye(3)) and np.linalg.det(T_wc[:3, :3]) > 0.0
+        assert abs(T_wc[1, 0]) < 1e-9 and T_wc[1, 1] > 0.5  # level, and upright
+        pixels, front = CAMERA.project(se3.transform_points(se3.inverse(T_wc), scene.means))
+        inside = (pixels > -1.0).all(axis=1) & (pixels < (96.0, 64.0)).all(axis=1)
+        assert (front & inside).mean() > 0.9
+    assert main([str(run_folder), "--up", "-y", "--to", "orbit", "--every", "60"]) == 0
+    film = Image.open(run_folder / "export" / "map.orbit.webp")
+    seen = []
+    for number in range(2):
+        film.seek(number)
+        seen.append(np.asarray(film.convert("RGB")).max(axis=2) > 60)
+    # From behind, the wall is not there, and the cubes are.
+    assert seen[0].sum() > 2.0 * seen[1].sum() > 0
 
 
 def test_rerun_log_is_written_with_every_frame(run_folder: Path) -> None:
