@@ -36,6 +36,7 @@ SCRATCH = {
     "Renderer._sample",
     "Renderer._thinned",
     "Seeder._workspace",
+    "GicpTracker._scratch",
     "Sample.phase",
     "GaussianOptimiser._workspace",
     "ExposureModel._workspace",

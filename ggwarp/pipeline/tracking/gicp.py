@@ -15,6 +15,7 @@ from ggwarp.geometry.uncertainty import position_std
 from ggwarp.pipeline.tracking.motion_model import MotionModel, depth_time
 from ggwarp.pipeline.tracking.preprocess import Observation, ObservationConfig, observe
 from ggwarp.pipeline.tracking.relocalisation import Relocaliser, ViewConsistency
+from ggwarp.runtime.scratch import ScratchArrays
 from ggwarp.runtime.state import Stateful
 from ggwarp.runtime.streams import to_host
 from ggwarp.solvers.registration import (
@@ -85,16 +86,14 @@ class GicpTracker(Stateful):
         self._cell_size = 0.0
         self._motion: MotionModel | None = None
         self._before: MotionModel | None = None
+        self._scratch = ScratchArrays(device)
         self._seen: Observation | None = None
         self.registration: Registration | None = None
         self.information: Float64 = np.zeros((6, 6))
         self.predicted: Float64 | None = None
 
     def start(self, frame: Frame, T_wc: Float64) -> TrackResult:
-        """Take the first frame, whose pose [4, 4] is given; all its points are new to the map.
-
-        A frame with too few points is lost: start again with the next one.
-        """
+        """Take the first frame, whose pose [4, 4] is given; one with too few points is lost: start again."""
         seen = self._observe(frame)
         self._motion = MotionModel.at_rest(T_wc, depth_time(frame))
         if seen.count < _MIN_POINTS:
@@ -191,8 +190,8 @@ class GicpTracker(Stateful):
         image = frame.depth if frame.sensor_depth is None else frame.sensor_depth
         if image is None:
             raise ValueError(f"frame {frame.index} has no depth: GICP tracking needs it")
-        weights = frame.depth_weight
-        return observe(image, self._camera, self._config, weights=weights, device=self._device)
+        more: dict[str, Any] = {"weights": frame.depth_weight, "scratch": self._scratch}
+        return observe(image, self._camera, self._config, device=self._device, **more)
 
     def _aim(self, target: MapSnapshot, spacing: float) -> None:
         """Prepare the map for registration, unless it is the one already prepared."""
@@ -321,7 +320,7 @@ def _result(
     points = FramePoints(
         points=se3.transform_points(T_cd, to_host(seen.cloud.points)).astype(np.float32),
         quats=se3.rotate_quats(T_cd[:3, :3], to_host(seen.quats)).astype(np.float32),
-        spreads=to_host(seen.spreads),
+        spreads=to_host(seen.spreads).copy(),
         noise=seen.noise,
         distances2=np.full(seen.count, np.inf, np.float32) if distances2 is None else distances2,
         noise_share=seen.noise_share,

@@ -12,6 +12,7 @@ import warp as wp
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from ggwarp.kernels.registration import back_projection, covariance, pixel_neighbours
+from ggwarp.runtime.scratch import ScratchArrays
 from ggwarp.runtime.streams import to_host
 from ggwarp.solvers.registration import Cloud
 from ggwarp.types import Float32
@@ -95,11 +96,13 @@ def observe(
     *,
     weights: Float32 | None = None,
     device: Any,
+    scratch: ScratchArrays | None = None,
 ) -> Observation:
     """Sample ``image`` [h, w] (metres, 0 = no reading) and fit an ellipse to each point.
 
     Args:
         weights: [h, w] how much each reading counts, to 1, its variance being the inverse; None: all alike.
+        scratch: lends all arrays, so that the result holds until it is used again; None: they are new.
 
     Raises:
         ValueError: an image that is not of the camera's size.
@@ -111,11 +114,13 @@ def observe(
     stride = max(1, round((readings / config.points) ** 0.5))
     rows, columns = back_projection.sample_grid(h, w, stride)
     room = rows * columns
-    flags, slots = (wp.zeros(max(room, 1), dtype=int, device=device) for _ in range(2))
-    points = _empty(room, wp.vec3, device)
-    pixels = _empty(room, wp.vec2i, device)
+    arrays = ScratchArrays(device) if scratch is None else scratch
+    flags, slots = (arrays.take(name, max(room, 1), wp.int32) for name in ("flags", "slots"))
+    flags.zero_()
+    slots.zero_()
+    points, pixels = arrays.take("points", room, wp.vec3), arrays.take("pixels", room, wp.vec2i)
     back_projection.sample_depth(
-        wp.array(np.ascontiguousarray(image, np.float32), dtype=float, device=device),
+        arrays.upload("image", np.ascontiguousarray(image, np.float32), wp.float32),
         (camera.fx, camera.fy, camera.cx, camera.cy),
         stride=stride,
         near=_NEAR,
@@ -131,7 +136,9 @@ def observe(
     points, pixels = points[:n], pixels[:n]
     z = to_host(points)[:, 2]
     spacing = float(np.median(z)) * stride / camera.fx if n else 0.0
-    quats, scales = fit_ellipses(points, pixels, camera, stride=stride, k=NEIGHBOURS, device=device)
+    quats, scales = fit_ellipses(
+        points, pixels, camera, stride=stride, k=NEIGHBOURS, device=device, scratch=arrays
+    )
     noise = config.depth_noise(z)
     if weights is not None:
         u, v = to_host(pixels).T
@@ -139,34 +146,44 @@ def observe(
     noise_share = measured_noise(
         to_host(points), to_host(quats), to_host(scales), to_host(pixels), stride, noise
     )
-    spreads = plane_spreads(scales, noise, noise_share, device)
-    covariances = _empty(n, wp.mat33, device)
+    spreads = plane_spreads(scales, noise, noise_share, device, scratch=arrays)
+    covariances = arrays.take("covariances", n, wp.mat33)
     covariance.build_covariances(quats, spreads, covariances=covariances, device=device)
     cloud = Cloud(points, covariances)
     return Observation(cloud, quats, scales, pixels, stride, spacing, spreads, noise, noise_share)
 
 
 def fit_ellipses(
-    points: Any, pixels: Any, camera: Camera, *, stride: int, k: int, device: Any
+    points: Any,
+    pixels: Any,
+    camera: Camera,
+    *,
+    stride: int,
+    k: int,
+    device: Any,
+    scratch: ScratchArrays | None = None,
 ) -> tuple[Any, Any]:
     """Return the quaternions [n] and scales [n] of ellipses fitted to each point's ``k`` nearest.
 
     Args:
         points, pixels, stride: as in :class:`Observation`.
         k: neighbours, itself among them; 16 at most.
+        scratch: as of :func:`observe`.
     """
     n = points.shape[0]
-    quats = _empty(n, wp.vec4, device)
-    scales = _empty(n, wp.vec3, device)
+    arrays = ScratchArrays(device) if scratch is None else scratch
+    quats, scales = arrays.take("quats", n, wp.vec4), arrays.take("scales", n, wp.vec3)
     if n:
-        indices = _empty((n, k), int, device)
+        indices = arrays.take("indices", (n, k), wp.int32)
         pixel_neighbours.find_k_nearest_pixels(
             points,
             pixels,
             (camera.fx, camera.fy, camera.cx, camera.cy),
             stride=stride,
             k=k,
-            places=_empty(back_projection.sample_grid(camera.height, camera.width, stride), int, device),
+            places=arrays.take(
+                "places", back_projection.sample_grid(camera.height, camera.width, stride), wp.int32
+            ),
             indices=indices,
             device=device,
         )
@@ -174,17 +191,21 @@ def fit_ellipses(
     return quats, scales
 
 
-def plane_spreads(scales: Any, noise: Float32, noise_share: float, device: Any) -> Any:
+def plane_spreads(
+    scales: Any, noise: Float32, noise_share: float, device: Any, *, scratch: ScratchArrays | None = None
+) -> Any:
     """Return what matches trust points by, [n] wp.vec3: along and across the surface, metres.
 
     Args:
         scales: [n] wp.vec3, of the ellipses fitted to neighbourhoods, metres, falling.
         noise, noise_share: see :class:`Observation`.
+        scratch: as of :func:`observe`.
     """
-    spreads = _empty(scales.shape[0], wp.vec3, device)
+    arrays = ScratchArrays(device) if scratch is None else scratch
+    spreads = arrays.take("spreads", scales.shape[0], wp.vec3)
     covariance.plane_scales(
         scales,
-        noise=wp.array(noise, dtype=float, device=device),
+        noise=arrays.upload("noise", noise, wp.float32),
         noise_share=noise_share,
         neighbours=NEIGHBOURS,
         slip=_SLIP,
@@ -224,7 +245,3 @@ def measured_noise(
     expected = noise[a] / (np.sqrt(NEIGHBOURS) * extents)
     # The angle between two normals is of Rayleigh's distribution: its median is 1.177 sqrt(2) deviations.
     return float(np.median(angles / expected) / (1.177 * np.sqrt(2.0)))
-
-
-def _empty(shape: Any, dtype: Any, device: Any) -> Any:
-    return wp.empty(shape, dtype=dtype, device=device)

@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """From depth to points: how noisy a frame is, by its normals, and what that leaves of them."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
+import warp as wp
 
 from ggwarp.geometry.camera import Camera
 from ggwarp.pipeline.tracking.preprocess import ObservationConfig, observe
+from ggwarp.runtime.scratch import ScratchArrays
 
 CAMERA = Camera(320, 240, 280.0, 280.0, 159.5, 119.5)
 CONFIG = ObservationConfig()
@@ -51,3 +55,42 @@ def test_what_counts_less_is_as_uncertain(device: str) -> None:
     np.testing.assert_allclose(seen.noise[v < 120], 2.0 * plain.noise[v < 120], rtol=1e-6)
     np.testing.assert_array_equal(seen.noise[v >= 140], plain.noise[v >= 140])
     assert np.isfinite(seen.noise).all() and (seen.spreads.numpy()[:, 2] >= seen.noise * 0.999).all()
+
+
+def test_kept_arrays_hold_what_new_ones_would(device: str, rng: np.random.Generator) -> None:
+    scratch = ScratchArrays(device)
+    for noise in (0.0, 1.0, 0.3):
+        depth = planes(noise, rng)
+        depth[rng.random(depth.shape) < 0.3 * noise] = 0.0
+        fresh = observe(depth, CAMERA, CONFIG, device=device)
+        kept = observe(depth, CAMERA, CONFIG, device=device, scratch=scratch)
+        for name in ("quats", "scales", "pixels", "spreads"):
+            np.testing.assert_array_equal(getattr(kept, name).numpy(), getattr(fresh, name).numpy())
+        for name in ("points", "covariances"):
+            np.testing.assert_array_equal(
+                getattr(kept.cloud, name).numpy(), getattr(fresh.cloud, name).numpy()
+            )
+
+
+def test_a_second_frame_takes_no_memory(
+    device: str, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On CUDA freeing an array is a barrier for both lanes."""
+    scratch, taken = ScratchArrays(device), []
+    observe(planes(1.0, rng), CAMERA, CONFIG, device=device, scratch=scratch)
+
+    def counting(make: Callable) -> Callable:
+        def counted(*args, **kwargs):
+            # On CUDA what is read back needs memory of the host's.
+            if device == "cpu" or kwargs.get("device") != "cpu":
+                taken.append(args)
+            return make(*args, **kwargs)
+
+        return counted
+
+    for name in ("empty", "zeros"):
+        monkeypatch.setattr(wp, name, counting(getattr(wp, name)))
+    observe(planes(1.0, rng), CAMERA, CONFIG, device=device, scratch=scratch)
+    assert taken == []
+    observe(planes(1.0, rng), CAMERA, CONFIG, device=device)
+    assert len(taken) > 8
