@@ -6,12 +6,14 @@ Matches are dense optical flow (DIS: Kroeger et al., ECCV 2016, as OpenCV has it
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
@@ -24,6 +26,8 @@ _PIXEL_NOISE = 0.25
 _EPIPOLAR = 1.0
 """Pixels that a match may lie off its epipolar line."""
 _SAMPLES = 4000
+_REFINED, _REFINEMENTS = 1000, 10
+"""Matches that a motion is refined on, and how often its search begins anew from where it has come to."""
 
 
 @dataclass(frozen=True)
@@ -124,6 +128,10 @@ def fuse(estimates: list[InverseDepth]) -> InverseDepth:
 def relative_pose(matches: Matches, camera: Camera) -> tuple[Float64, float] | None:
     """Return the other camera's motion from matches alone, and how many of them agree.
 
+    What is nearly a plane, or near in depth for its distance, has two motions that fit almost alike
+    (H. Longuet-Higgins, Proc. R. Soc. B 1986), and noise decides which of them an essential matrix has. So
+    the search goes on from those of the plane that fits best, too, and the motion at the least cost counts.
+
     Returns:
         [4, 4] this camera's coordinates to the other's, with a translation of length 1, and the share of
         the matches that fit an essential matrix; None where there are too few.
@@ -137,9 +145,69 @@ def relative_pose(matches: Matches, camera: Camera) -> tuple[Float64, float] | N
         return None
     share = float(agreeing.mean())
     _, R, t, _, _ = cv2.recoverPose(essential, here, there, K, distanceThresh=1e4, mask=agreeing)
+    starts = [(np.asarray(R, np.float64), t[:, 0]), *_motions_by_a_plane(here, there, K)]
+    step = max(1, len(here) // _REFINED)
+    rays = [camera.rays(*points[::step].T) for points in (here, there)]
+    found = [_least_cost(*start, *rays, focal=camera.fx) for start in starts]
+    R, t, _ = min(found, key=lambda one: one[2])
     T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R, t[:, 0]
+    T[:3, :3], T[:3, 3] = R, _towards_the_scene(R, t, *rays)
     return T, share
+
+
+def _motions_by_a_plane(here: Float64, there: Float64, K: Float64) -> list[tuple[Float64, Float64]]:
+    """Return rotation [3, 3] and translation [3] of the motions that explain matches of a plane."""
+    H, _ = cv2.findHomography(here, there, cv2.USAC_MAGSAC, 1.0)
+    if H is None:
+        return []
+    _, rotations, translations, _ = cv2.decomposeHomographyMat(H, K)
+    lengths = [float(np.linalg.norm(t)) for t in translations]
+    motions = zip(rotations, translations, lengths, strict=True)
+    return [
+        (np.array(R, np.float64), np.array(t[:, 0] / length, np.float64))
+        for R, t, length in motions
+        if length > 1e-9
+    ]
+
+
+def _least_cost(
+    R: Float64, t: Float64, here: Float64, there: Float64, *, focal: float
+) -> tuple[Float64, Float64, float]:
+    """Return the motion near (R, t) at which rays [n, 3] lie nearest to their epipolar lines, and its cost.
+
+    The distance is Sampson's, in pixels, under Cauchy's kernel.
+    """
+    cost = np.inf
+    for _ in range(_REFINEMENTS):
+        across = np.linalg.svd(t[None])[2][1:]
+
+        def moved(
+            step: Float64, R: Float64 = R, t: Float64 = t, across: Float64 = across
+        ) -> tuple[Float64, Float64]:
+            other = t + step[3:] @ across
+            return se3.so3_exp(step[:3]) @ R, other / np.linalg.norm(other)
+
+        def distances(step: Float64, moved: Callable[..., tuple[Float64, Float64]] = moved) -> Float64:
+            turned, other = moved(step)
+            E = se3.hat(other) @ turned
+            lines, back = here @ E.T, there @ E
+            slopes2 = lines[:, 0] ** 2 + lines[:, 1] ** 2 + back[:, 0] ** 2 + back[:, 1] ** 2
+            return focal * (there * lines).sum(axis=1) / np.sqrt(np.maximum(slopes2, 1e-12))
+
+        found = least_squares(distances, np.zeros(5), loss="cauchy", f_scale=_PIXEL_NOISE, max_nfev=15)
+        R, t = moved(found.x)
+        cost = float(found.cost)
+        if np.abs(found.x).max() < 1e-4:
+            break
+    return R, t, cost
+
+
+def _towards_the_scene(R: Float64, t: Float64, here: Float64, there: Float64) -> Float64:
+    """Return ``t`` or its opposite, whichever has more of the points before the camera."""
+    turned = here @ R.T
+    # d turned + t is along the other ray: cross products with it leave d.
+    a, b = np.cross(there, turned), np.cross(there, t)
+    return t if np.median(-(a * b).sum(axis=1)) > 0.0 else -t
 
 
 def pose_from_depth(

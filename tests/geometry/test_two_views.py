@@ -85,6 +85,23 @@ def test_motion_from_matches_alone(depth: np.ndarray, rng: np.random.Generator) 
     assert relative_pose(Matches(matches.at, wrong & (matches.at[..., 0] < 5.0)), CAMERA) is None
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_scene_that_is_nearly_a_plane_does_not_mislead(seed: int) -> None:
+    """Its other motion, turned by more and moved elsewhere, fits the matches almost as well."""
+    rng, camera = np.random.default_rng(seed), Camera(256, 192, 210.0, 210.0, 127.5, 95.5)
+    rays, normal = rays_of(camera), np.array([0.15, -0.5, 0.85])
+    depth = 2.0 / (rays @ normal) * (1.0 + 0.03 * rng.standard_normal(rays.shape[:2]))
+    motion = se3.se3_exp([-0.06, 0.01, 0.01, 0.01, -0.03, 0.01])
+    matches = seen_from(depth, motion, camera)
+    matches.at[:] += 0.25 * rng.standard_normal(matches.at.shape)
+    found = relative_pose(matches, camera)
+    assert found is not None
+    turn = se3.so3_log(found[0][:3, :3].T @ motion[:3, :3])
+    along = motion[:3, 3] / np.linalg.norm(motion[:3, 3])
+    assert np.degrees(np.linalg.norm(turn)) < 0.5
+    assert np.degrees(np.arccos(found[0][:3, 3] @ along)) < 12.0
+
+
 def test_motion_from_depth(depth: np.ndarray, rng: np.random.Generator) -> None:
     matches = seen_from(depth, MOTION, CAMERA)
     wrong = rng.random(depth.shape) < 0.2
