@@ -10,6 +10,7 @@ from typing import Any
 from ggwarp.config.run_config import ConfigError, RunConfig, frame_slice
 from ggwarp.datasets import Dataset
 from ggwarp.geometry.camera import Camera
+from ggwarp.pipeline.loops.pose_graph import solver_is_there
 from ggwarp.pipeline.mapping.mapper import MapperConfig
 from ggwarp.pipeline.slam_config import SlamConfig
 from ggwarp.results.saved_run import SavedRun
@@ -57,13 +58,15 @@ def resolve_config(config: RunConfig, dataset: Dataset, *, earlier: SavedRun | N
 def monocular(config: SlamConfig) -> SlamConfig:
     """Return ``config`` for frames without depth: options left at their defaults become those that fit.
 
-    Poses come by colour and are fitted with the map, in a window; Gaussians keep their rates, as the poses
-    that they follow still move. Mapping has them begin round and move faster.
+    Poses come by colour. Views are adjusted together by their features (``loops``); without that, poses are
+    fitted with the map, in a window. Gaussians keep their rates, as the poses that they follow still move.
+    Mapping has them begin round and move faster.
     """
     mapper, default = config.mapper, MapperConfig()
+    adjusted = config.loops and solver_is_there()
     changes: dict[str, Any] = {
         "iterations": 16,
-        "pose_rates": (5e-4, 5e-4),
+        "pose_rates": default.pose_rates if adjusted else (5e-4, 5e-4),
         "rate_decay": 0.0,
         "exposure_rate": 0.01,
     }

@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from ggwarp.geometry import se3
+from ggwarp.geometry import sim3
 from ggwarp.geometry.se3 import Array
 
 
@@ -16,12 +16,13 @@ from ggwarp.geometry.se3 import Array
 class PoseCorrection:
     """Motions of the world, known at some frames and interpolated between them.
 
-    What belongs to a frame moves rigidly: a pose T_wc becomes ``at(index) @ T_wc``. Before the first and
-    after the last known frame their own motions hold.
+    What belongs to a frame moves as one: a pose T_wc becomes ``at(index) @ T_wc``, with its axes at length 1
+    again where the motion has a scale. Before the first and after the last known frame their own motions
+    hold.
 
     Attributes:
         indices: frames, rising.
-        motions: [n, 4, 4] motion of the world at each.
+        motions: [n, 4, 4] motion of the world at each: rigid, or a similarity where frames have no depth.
     """
 
     indices: tuple[int, ...]
@@ -43,6 +44,11 @@ class PoseCorrection:
             found[row] = known[index]
         return found
 
+    def moved(self, poses: Mapping[int, Array]) -> dict[int, Array]:
+        """Return the poses T_wc [4, 4] of frames, by index, as they are after the correction."""
+        motions = zip(poses.items(), self.at(list(poses)), strict=True)
+        return {index: sim3.moved_pose(motion, T_wc) for (index, T_wc), motion in motions}
+
     def _at(self, index: int) -> Array:
         after = int(np.searchsorted(self.indices, index))
         if after == len(self.indices):
@@ -51,4 +57,4 @@ class PoseCorrection:
             return self.motions[after]
         before, begin, end = after - 1, self.indices[after - 1], self.indices[after]
         share = (index - begin) / (end - begin)
-        return se3.interpolate(self.motions[before], self.motions[after], share)
+        return sim3.interpolate(self.motions[before], self.motions[after], share)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from ggwarp.geometry import sim3
 from ggwarp.kernels.math import vec16
 from ggwarp.kernels.optim.adam import AdamState, GaussianArrays
 from ggwarp.kernels.optim.rigid_motion import move_gaussians
@@ -144,10 +145,18 @@ class GaussianMap(Stateful):
         return dropped
 
     def move(self, motions: Float64) -> None:
-        """Move each Gaussian by that of ``motions`` [k, 4, 4] of its keyframe, with Adam's memory of it."""
-        names = ("keyframe_ids", "means", "quats", "first", "second")
+        """Move each Gaussian by that of ``motions`` [k, 4, 4] of its keyframe, with Adam's memory of it.
+
+        Args:
+            motions: rigid, or similarities, see :mod:`ggwarp.geometry.sim3`.
+        """
+        if not self.count:
+            return
+        names = ("keyframe_ids", "means", "quats", "log_scales", "first", "second")
+        rigid, scales = zip(*(sim3.split(motion) for motion in motions), strict=True)
         move_gaussians(
-            wp.array(motions.astype(np.float32), dtype=wp.mat44, device=self.device),
+            wp.array(np.stack(rigid).astype(np.float32), dtype=wp.mat44, device=self.device),
+            wp.array(np.array(scales, np.float32), dtype=float, device=self.device),
             count=self.count,
             **{name: self.fields[name] for name in names},
             device=self.device,

@@ -25,9 +25,7 @@ class EstimatedPoses(Stateful):
 
     def move(self, correction: PoseCorrection) -> None:
         """Let all poses follow their keyframes."""
-        motions = correction.at(list(self.by_frame))
-        for (index, T_wc), motion in zip(self.by_frame.items(), motions, strict=True):
-            self.by_frame[index] = se3.orthonormalised(motion @ T_wc)
+        self.by_frame = correction.moved(self.by_frame)
 
     def final(self, reports: Sequence[StepReport], later: Mapping[int, Float64]) -> dict[int, Float64]:
         """Return the pose of each frame by all that is known by now.

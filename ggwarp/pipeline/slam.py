@@ -131,6 +131,8 @@ class Slam:
             self._trackable.add(result.points, result.T_wc, frame.index)
         closed = self.loops.close(frame, result, lambda: self._tracking_scope, is_keyframe=new)
         result, closure, loop_s = closed
+        if closure is not None:
+            self._earlier_poses = closure.correction.moved(self._earlier_poses)
         return TrackedFrame(frame, arrival, result, kind, seconds + loop_s, closure, loop_s)
 
     def map_frame(self, tracked: TrackedFrame, waiting: Waiting | None = None) -> StepReport:
@@ -274,7 +276,7 @@ class Slam:
         with self.mapping_scope:
             self._mapper.move(correction)
         self._poses.move(correction)
-        self.counts["loops_closed"] += 1
+        self.counts["loops_closed"] += tracked.loop is not None
 
     def _insert(self, tracked: TrackedFrame) -> TrackedFrame:
         """Give the mapper a keyframe, and what it keeps of any frame; return ``tracked`` as it was mapped."""

@@ -34,6 +34,11 @@ class TrackedFrame:
     loop_seconds: float = 0.0
 
     @property
+    def loop(self) -> Closure | None:
+        """The closure, if a place was seen again."""
+        return self.closure if self.closure is not None and self.closure.seen_before is not None else None
+
+    @property
     def is_keyframe(self) -> bool:
         return self.kind is not KeyframeKind.NONE
 
@@ -76,6 +81,6 @@ class TrackedFrame:
             late_ms=1e3 * arrival.delay if arrival.late else 0.0,
             frames_behind=arrival.behind,
             loop_ms=1e3 * self.loop_seconds,
-            loop_with=None if self.closure is None else self.closure.seen_before,
-            loop_moved_cm=None if self.closure is None else 100.0 * self.closure.moved,
+            loop_with=None if self.loop is None else self.loop.seen_before,
+            loop_moved_cm=None if self.loop is None else 100.0 * self.loop.moved,
         )

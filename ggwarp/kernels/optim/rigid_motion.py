@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gaussians moved rigidly, with what Adam remembers of them.
+"""Gaussians moved, and scaled where the world has no scale of its own, with what Adam remembers of them.
 
 Gradients by a position turn with it, and so do those by a quaternion when that is multiplied from the left:
 both maps are orthogonal. Adam's first moments are means of gradients and turn exactly. Its second moments are
-means of squares, component by component: they are taken on as if components were uncorrelated.
+means of squares, component by component: they are taken on as if components were uncorrelated. Where lengths
+grow by s, gradients by a position shrink by it, and those by a log scale stay.
 """
 
 from typing import Any
@@ -31,17 +32,21 @@ def _product_matrix(q: wp.vec4) -> wp.mat44:
 def _move_kernel(
     offset: int,
     motions: wp.array[wp.mat44],
+    scales: wp.array[wp.float32],
     keyframe_ids: wp.array[wp.int32],
     means: wp.array[wp.vec3],
     quats: wp.array[wp.vec4],
+    log_scales: wp.array[wp.vec3],
     first: wp.array[vec16],
     second: wp.array[vec16],
 ):
     i = offset + wp.tid()
     T = motions[keyframe_ids[i]]
+    s = scales[keyframe_ids[i]]
     R = rotation_of(T)
     Q = _product_matrix(matrix_to_quat(R))
-    means[i] = transform_point(T, means[i])
+    means[i] = transform_point(T, s * means[i])
+    log_scales[i] += wp.vec3(wp.log(s))
     quats[i] = wp.normalize(Q * quats[i])
     m = first[i]
     v = second[i]
@@ -50,8 +55,8 @@ def _move_kernel(
     c = wp.cw_mul(R, R) * wp.vec3(v[0], v[1], v[2])
     d = wp.cw_mul(Q, Q) * wp.vec4(v[3], v[4], v[5], v[6])
     for k in range(3):
-        m[k] = a[k]
-        v[k] = c[k]
+        m[k] = a[k] / s
+        v[k] = c[k] / (s * s)
     for k in range(4):
         m[3 + k] = b[k]
         v[3 + k] = d[k]
@@ -61,10 +66,12 @@ def _move_kernel(
 
 def move_gaussians(
     motions: Any,
+    scales: Any,
     *,
     keyframe_ids: Any,
     means: Any,
     quats: Any,
+    log_scales: Any,
     first: Any,
     second: Any,
     count: int,
@@ -73,16 +80,17 @@ def move_gaussians(
     """Move each Gaussian by the motion of its keyframe, in place; see :mod:`ggwarp.kernels.optim.adam`.
 
     Args:
-        motions: [k] mat44, rigid, of the world.
+        motions: [k] mat44, rigid, of the world, after it was scaled.
+        scales: [k] float, by which lengths grow; 1 leaves every bit of a rigid motion.
         keyframe_ids: [>= count] int, which of them is each Gaussian's.
-        means, quats: [>= count] vec3 and vec4 (unit, w first).
+        means, quats, log_scales: [>= count] vec3, vec4 (unit, w first) and vec3.
         first, second: [>= count] vec16, Adam's moments.
         count: Gaussians that are moved.
     """
     launch_split(
         _move_kernel,
         count,
-        inputs=[motions, keyframe_ids],
-        outputs=[means, quats, first, second],
+        inputs=[motions, scales, keyframe_ids],
+        outputs=[means, quats, log_scales, first, second],
         device=device,
     )

@@ -63,29 +63,35 @@ class FeatureExtractor:
         self._shrink = max(1.0, camera.width / _WIDTH)
         self._sift = cv2.SIFT.create(nfeatures=_MOST, contrastThreshold=_CONTRAST)
 
-    def extract(self, frame: Frame) -> Features:
-        """Return the features of ``frame``; none where it has no depth."""
-        grey = cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2GRAY)
+    def detect(self, rgb: NDArray[np.uint8]) -> tuple[Float64, NDArray[np.uint8]]:
+        """Return the places [n, 2] (u, v) and descriptors [n, 128] of the features of ``rgb`` [h, w, 3]."""
+        grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
         if self._shrink > 1.0:
             size = round(self._camera.width / self._shrink), round(self._camera.height / self._shrink)
             grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
-        keypoints, descriptors = self._sift.detectAndCompute(grey, None)
-        image = frame.depth if frame.sensor_depth is None else frame.sensor_depth
-        if not keypoints or image is None:
-            return Features(np.zeros((0, 2)), np.zeros((0, 3)), np.zeros((0, 128), np.uint8))
-        scale = np.array([frame.rgb.shape[1] / grey.shape[1], frame.rgb.shape[0] / grey.shape[0]])
+        keypoints, rows = self._sift.detectAndCompute(grey, None)
+        if not keypoints:
+            return np.zeros((0, 2)), np.zeros((0, 128), np.uint8)
+        scale = np.array([rgb.shape[1] / grey.shape[1], rgb.shape[0] / grey.shape[0]])
         pixels = (np.array([k.pt for k in keypoints], np.float64) + 0.5) * scale - 0.5
-        depth = _depth_at(image, pixels, frame.rgb.shape)
+        # RootSIFT (Arandjelovic and Zisserman, 2012): distances are then those of the histograms.
+        rows = np.sqrt(rows / np.maximum(rows.sum(axis=1, keepdims=True), 1e-6))
+        return pixels, np.rint(512.0 * rows).clip(0, 255).astype(np.uint8)
+
+    def extract(self, frame: Frame) -> Features:
+        """Return the features of ``frame``; none where it has no depth."""
+        image = frame.depth if frame.sensor_depth is None else frame.sensor_depth
+        pixels, descriptors = self.detect(frame.rgb)
+        if image is None or not len(pixels):
+            return Features(np.zeros((0, 2)), np.zeros((0, 3)), np.zeros((0, 128), np.uint8))
+        depth = depth_at(image, pixels, frame.rgb.shape)
         there = depth > 0.0
         pixels = pixels[there]
         points = self._camera.back_project(pixels[:, 0], pixels[:, 1], depth[there])
-        # RootSIFT (Arandjelovic and Zisserman, 2012): distances are then those of the histograms.
-        rows = descriptors[there]
-        rows = np.sqrt(rows / np.maximum(rows.sum(axis=1, keepdims=True), 1e-6))
-        return Features(pixels, points, np.rint(512.0 * rows).clip(0, 255).astype(np.uint8))
+        return Features(pixels, points, descriptors[there])
 
 
-def _depth_at(image: Float32, pixels: Float64, shape: tuple[int, ...]) -> Float64:
+def depth_at(image: Float32, pixels: Float64, shape: tuple[int, ...]) -> Float64:
     """Return [n] the depth at ``pixels`` [n, 2] of a picture of ``shape``, metres; 0: none, or an edge."""
     scale = image.shape[1] / shape[1], image.shape[0] / shape[0]
     u = np.rint((pixels[:, 0] + 0.5) * scale[0] - 0.5).astype(int)
@@ -107,9 +113,14 @@ def _depth_at(image: Float32, pixels: Float64, shape: tuple[int, ...]) -> Float6
 
 def match_features(one: Features, other: Features) -> NDArray[np.intp]:
     """Return [m, 2] rows of ``one`` and ``other`` that look alike, each the other's best match."""
+    return match_descriptors(one.descriptors, other.descriptors)
+
+
+def match_descriptors(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> NDArray[np.intp]:
+    """Return [m, 2] rows of descriptors [n, 128] that are alike, each the other's best match."""
     if min(len(one), len(other)) < 2:
         return np.zeros((0, 2), np.intp)
-    a, b = one.descriptors.astype(np.float32), other.descriptors.astype(np.float32)
+    a, b = one.astype(np.float32), other.astype(np.float32)
     distances2 = (a * a).sum(axis=1)[:, None] + (b * b).sum(axis=1)[None] - 2.0 * (a @ b.T)
     forth, back = distances2.argmin(axis=1), distances2.argmin(axis=0)
     two = np.partition(distances2, 1, axis=1)[:, :2]

@@ -71,18 +71,18 @@ state_value(PoseCorrection)
 @state_value
 @dataclass(frozen=True)
 class Closure:
-    """A loop that was closed.
+    """How poses changed: a loop that was closed, or, where frames have no depth, views adjusted together.
 
     Attributes:
         correction: how the poses change.
-        frame, seen_before: frames that show the same place.
+        frame, seen_before: frames that show the same place; the latter None: no loop.
         moved: the farthest that anything moved, metres.
         seconds: what it took.
     """
 
     correction: PoseCorrection
     frame: int
-    seen_before: int
+    seen_before: int | None
     moved: float
     seconds: float
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,9 +34,26 @@ SEPARATE = 5
 """Candidates are so many places apart: one next to another adds nothing."""
 
 
+class Looking:
+    """A camera somewhere that looks at something; what it is a part of has ``T_wc`` [4, 4] and ``depth``."""
+
+    T_wc: Float64
+    depth: float
+
+    @property
+    def centre(self) -> Float64:
+        """[3] what it looks at, world frame."""
+        return self.T_wc[:3, 3] + self.depth * self.T_wc[:3, 2]
+
+    def displacement(self, motion: Float64) -> float:
+        """Return how far a motion [4, 4] of the world moves what it looks at, or itself, metres."""
+        ends = np.stack([self.centre, self.T_wc[:3, 3]])
+        return float(np.linalg.norm(se3.transform_points(motion, ends) - ends, axis=1).max())
+
+
 @state_value
 @dataclass
-class Place:
+class Place(Looking):
     """A keyframe of the pose graph.
 
     Attributes:
@@ -51,16 +69,6 @@ class Place:
     view: SmallView
     surface: Surface
 
-    @property
-    def centre(self) -> Float64:
-        """[3] what it looks at, world frame."""
-        return self.T_wc[:3, 3] + self.depth * self.T_wc[:3, 2]
-
-    def displacement(self, motion: Float64) -> float:
-        """Return how far a motion [4, 4] of the world moves what it looks at, or itself, metres."""
-        ends = np.stack([self.centre, self.T_wc[:3, 3]])
-        return float(np.linalg.norm(se3.transform_points(motion, ends) - ends, axis=1).max())
-
 
 def far_enough(last: Place, T_wc: Float64) -> bool:
     """Return whether a frame at ``T_wc`` [4, 4] is another place than ``last``."""
@@ -69,16 +77,20 @@ def far_enough(last: Place, T_wc: Float64) -> bool:
     return bool(np.linalg.norm(motion[:3, 3]) > APART * last.depth or turn > APART_TURN)
 
 
-def candidates(places: list[Place], looks: VisualIndex) -> list[int]:
-    """Return the numbers of earlier places that the last may show again, neighbours in time left out."""
+def candidates(places: Sequence[Looking], looks: VisualIndex, *, apart: int = SEPARATE) -> list[int]:
+    """Return the numbers of earlier places that the last may show again.
+
+    Args:
+        apart: so many of the newest are left out, the last itself among them.
+    """
     last = places[-1]
-    earlier = places[: max(len(places) - SEPARATE, 0)]
+    earlier = places[: max(len(places) - apart, 0)]
     if not earlier:
         return []
     centres = np.stack([p.centre for p in earlier])
     axes = np.stack([p.T_wc[:3, 2] for p in earlier])
-    apart = np.linalg.norm(centres - last.centre, axis=1) / last.depth
-    distances = apart + np.arccos(np.clip(axes @ last.T_wc[:3, 2], -1.0, 1.0))
+    far = np.linalg.norm(centres - last.centre, axis=1) / last.depth
+    distances = far + np.arccos(np.clip(axes @ last.T_wc[:3, 2], -1.0, 1.0))
     similarities = looks.similarities()[: len(earlier)]
     near = _separate(-distances, _BY_PLACE, -_NEAR)
     alike = _separate(similarities, _BY_LOOKS, _LEAST_SIMILARITY)

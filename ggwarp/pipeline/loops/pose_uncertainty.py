@@ -80,6 +80,8 @@ class PoseUncertainty(Stateful):
             _Keyframe(k.index, se3.orthonormalised(motion @ k.T_wc), k.covariance)
             for k, motion in zip(self._keyframes, motions, strict=True)
         ]
+        if closure.seen_before is None:
+            return self._keyframes[-1]
         before = [k for k in self._keyframes if k.index <= closure.seen_before]
         return before[-1] if before else self._keyframes[0]
 

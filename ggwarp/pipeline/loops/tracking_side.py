@@ -7,13 +7,15 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 
-from ggwarp.geometry import se3
+from ggwarp.geometry import sim3
 from ggwarp.geometry.camera import Camera
 from ggwarp.pipeline.loops.loop_closer import Closure, LoopCloser
+from ggwarp.pipeline.loops.monocular_loops import MonocularLoops
 from ggwarp.pipeline.loops.places import Place
 from ggwarp.pipeline.loops.pose_graph import solver_is_there
 from ggwarp.pipeline.loops.pose_uncertainty import PoseUncertainty
 from ggwarp.pipeline.tracking.keyframe_policy import KeyframePolicy
+from ggwarp.pipeline.tracking.monocular import MonocularTracker
 from ggwarp.pipeline.tracking.point_map import TrackableMap
 from ggwarp.pipeline.tracking.tracker import FollowsMap, Tracker, TrackingConfig
 from ggwarp.runtime.state import Stateful
@@ -48,15 +50,17 @@ class TrackingLoops(Stateful):
         self._uncertainty = PoseUncertainty()
         # The map takes no notice of points that move by less.
         least = points.distance
-        self._closer = (
-            None
-            if self.stay_open
-            else LoopCloser(*cameras, config.gicp.depth_noise, least_move=least, device=points.device)
-        )
+        self._closer: LoopCloser | MonocularLoops | None = None
+        if not self.stay_open:
+            self._closer = (
+                MonocularLoops(cameras[0])
+                if isinstance(tracker, MonocularTracker)
+                else LoopCloser(*cameras, config.gicp.depth_noise, least_move=least, device=points.device)
+            )
 
     def adopt(self, places: Sequence[Place]) -> None:
         """See :meth:`ggwarp.pipeline.loops.loop_closer.LoopCloser.adopt`."""
-        if self._closer is not None:
+        if isinstance(self._closer, LoopCloser):
             self._closer.adopt(places)
 
     def close(
@@ -84,7 +88,7 @@ class TrackingLoops(Stateful):
                 self._points.move(closure.correction)
                 self._tracker.on_map_moved(closure.correction, frame.index)
             self._policy.on_map_moved(motion)
-            result = dataclasses.replace(result, T_wc=se3.orthonormalised(motion @ result.T_wc))
+            result = dataclasses.replace(result, T_wc=sim3.moved_pose(motion, result.T_wc))
         std = self._uncertainty.position_std(frame.index, result, is_keyframe=is_keyframe, closure=closure)
         seconds = 0.0 if self._closer is None else self._closer.seconds - before
         return dataclasses.replace(result, position_std=std), closure, seconds

@@ -9,8 +9,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ggwarp.geometry import se3
+from ggwarp.geometry import se3, sim3
 from ggwarp.geometry.camera import Camera
+from ggwarp.geometry.pose_correction import PoseCorrection
 from ggwarp.geometry.two_views import InverseDepth, Matcher, filled, fuse, grey, triangulate
 from ggwarp.runtime.state import Stateful
 from ggwarp.types import Float32, Float64, Frame, Rendered
@@ -33,11 +34,17 @@ class DepthCompletion(Stateful):
         """``camera``: of all the pictures."""
         self._camera = camera
         self._matcher = Matcher()
-        self._recent: deque[tuple[NDArray[np.uint8], Float64]] = deque(maxlen=max(_LAGS))
+        self._recent: deque[tuple[int, NDArray[np.uint8], Float64]] = deque(maxlen=max(_LAGS))
 
     def observe(self, frame: Frame, T_wc: Float64) -> None:
         """Take in a picture and its pose [4, 4]: every frame, in order, after its depth was asked for."""
-        self._recent.append((grey(frame.rgb), T_wc))
+        self._recent.append((frame.index, grey(frame.rgb), T_wc))
+
+    def move(self, correction: PoseCorrection) -> None:
+        """Let the recent pictures follow where the map is moved."""
+        for place, (index, picture, T_wc) in enumerate(self._recent):
+            [motion] = correction.at([index])
+            self._recent[place] = index, picture, sim3.moved_pose(motion, T_wc)
 
     def triangulated(self, frame: Frame, T_wc: Float64) -> InverseDepth:
         """Return what the recent pictures say of the depth of ``frame``, seen from ``T_wc`` [4, 4]."""
@@ -46,7 +53,7 @@ class DepthCompletion(Stateful):
         estimates = [InverseDepth(nothing, nothing)]
         for lag in _LAGS:
             if lag <= len(self._recent):
-                there, T_there = self._recent[-lag]
+                _, there, T_there = self._recent[-lag]
                 matches = self._matcher.match(here, there)
                 estimates.append(triangulate(matches, se3.inverse(T_there) @ T_wc, self._camera))
         return fuse(estimates)

@@ -235,12 +235,12 @@ class Mapper(Stateful):
     def move(self, correction: PoseCorrection) -> None:
         """Let keyframes follow a closed loop, and each Gaussian its keyframe, with Adam's memory of it."""
         motions = correction.at(self._keyframes.indices)
-        if not len(motions):
-            return
         self._keyframes.move(motions)
         if self._moving is not None:
             self._moving.move(lambda number: motions[number])
         self._passed_over.move(correction)
+        if self._depth_completion is not None:
+            self._depth_completion.move(correction)
         self.map.move(motions)
 
     def _drop_unconfirmed(self) -> None:

@@ -9,6 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
+from ggwarp.geometry import sim3
 from ggwarp.map.covisibility import Look, intersection_over_union
 from ggwarp.runtime.state import Stateful, state_value
 from ggwarp.types import Float64, TrackResult, Verdict
@@ -142,7 +143,7 @@ class CovisibilityKeyframes(Stateful):
 
     def on_map_moved(self, motion: Float64) -> None:
         """Take note that the map was moved, here by ``motion`` [4, 4] of the world."""
-        self._last = None if self._last is None else motion @ self._last
+        self._last = None if self._last is None else sim3.moved_pose(motion, self._last)
 
     def _due(self, T_wc: Float64) -> bool:
         c = self._config

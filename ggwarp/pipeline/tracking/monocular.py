@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ggwarp.geometry.pose_correction import PoseCorrection
 from ggwarp.map.renderer import Renderer
 from ggwarp.pipeline.tracking.initialisation import TRIAL, InitialisationConfig, MonocularInitialiser
 from ggwarp.pipeline.tracking.photometric import PhotometricTracker
@@ -55,3 +56,9 @@ class MonocularTracker(PhotometricTracker):
         self._doubted += result.verdict is not Verdict.CONVERGED
         init_failed = self._doubted > 1 and self._tracked <= TRIAL
         return dataclasses.replace(result, reinitialise=init_failed)
+
+    def on_map_moved(self, correction: PoseCorrection, index: int) -> None:
+        """Take note that the map, and the poses of all frames up to the last, ``index``, were moved."""
+        if self._motion is not None:
+            [motion] = correction.at([index])
+            self._motion.move(motion)

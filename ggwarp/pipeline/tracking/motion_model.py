@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ggwarp.geometry import se3
+from ggwarp.geometry import se3, sim3
 from ggwarp.runtime.state import state_value
 from ggwarp.types import Float64, Frame
 
@@ -48,6 +48,11 @@ class MotionModel:
         dt = time - self.time
         velocity = se3.se3_log(se3.inverse(self.T_wc) @ T_wc) / dt if dt > 0.0 else np.zeros(6)
         return MotionModel(T_wc, time, velocity)
+
+    def move(self, motion: Float64) -> None:
+        """Let the pose go with the world, and the velocity with its scale, that ``motion`` [4, 4] changes."""
+        self.T_wc = sim3.moved_pose(motion, self.T_wc)
+        self.velocity[:3] *= sim3.split(motion)[1]
 
     def jump(self, T_wc: Float64, predicted: Float64, max_distance: float, max_turn: float) -> str:
         """Say how far ``T_wc`` is from the ``predicted`` pose, where that is farther than is likely.

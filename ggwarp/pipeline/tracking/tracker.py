@@ -106,8 +106,9 @@ class TrackingConfig:
     the map looks like the picture; hybrid does the former, and aligns the picture to those taken on the way
     where that leaves the pose uncertain; ground-truth takes the data set's own."""
     loops: bool = True
-    """Close loops: where a place is seen again, poses and the map are pulled together. It needs depth and a
-    tracker that registers it, gicp or hybrid."""
+    """Close loops: where a place is seen again, poses and the map are pulled together. With depth it needs a
+    tracker that registers it, gicp or hybrid. Without depth views are also adjusted together on the way, so
+    that their scale does not drift."""
     gicp: GicpConfig = field(default_factory=GicpConfig)
     refinement: RefinementConfig = field(default_factory=RefinementConfig)
     initialisation: InitialisationConfig = field(default_factory=InitialisationConfig)

@@ -15,16 +15,18 @@ def arrays(rng, n):
     return {
         "means": rng.standard_normal((n, 3)).astype(np.float32),
         "quats": (quats / np.linalg.norm(quats, axis=1, keepdims=True)).astype(np.float32),
+        "log_scales": rng.standard_normal((n, 3)).astype(np.float32),
         "first": rng.standard_normal((n, 16)).astype(np.float32),
         "second": rng.uniform(0.0, 1.0, (n, 16)).astype(np.float32),
     }
 
 
-def moved(values, motions, owners, device, count=None):
-    types = {"means": wp.vec3, "quats": wp.vec4, "first": vec16, "second": vec16}
+def moved(values, motions, owners, device, count=None, scales=None):
+    types = {"means": wp.vec3, "quats": wp.vec4, "log_scales": wp.vec3, "first": vec16, "second": vec16}
     on_device = {k: wp.array(v, dtype=types[k], device=device) for k, v in values.items()}
     move_gaussians(
         wp.array(np.asarray(motions, np.float32), dtype=wp.mat44, device=device),
+        wp.array(np.ones(len(motions)) if scales is None else scales, dtype=float, device=device),
         keyframe_ids=wp.array(owners, dtype=wp.int32, device=device),
         **on_device,
         count=len(owners) if count is None else count,
@@ -64,6 +66,28 @@ def test_gaussians_and_moments_turn_with_their_keyframe(device, rng):
         np.testing.assert_allclose(found["second"][i, 3:7], Q**2 @ second[3:7], atol=3e-6)
         np.testing.assert_array_equal(found["first"][i, 7:], values["first"][i, 7:])
         np.testing.assert_array_equal(found["second"][i, 7:], values["second"][i, 7:])
+
+
+def test_what_grows_takes_sizes_and_moments_with_it(device, rng):
+    values, owners = arrays(rng, 200), rng.integers(0, 2, 200).astype(np.int32)
+    motions = np.stack([se3.se3_exp(rng.standard_normal(6)) for _ in range(2)])
+    scales = np.array([0.4, 2.5])
+    found, rigid = (
+        moved(values, motions, owners, device, scales=scales),
+        moved(values, motions, owners, device),
+    )
+    s = scales[owners][:, None]
+    for k, motion in enumerate(motions):
+        np.testing.assert_allclose(
+            found["means"][owners == k],
+            se3.transform_points(motion, scales[k] * values["means"][owners == k]),
+            atol=2e-5,
+        )
+    np.testing.assert_array_equal(found["quats"], rigid["quats"])
+    np.testing.assert_allclose(found["log_scales"], values["log_scales"] + np.log(s), atol=1e-6)
+    np.testing.assert_allclose(found["first"][:, :3], rigid["first"][:, :3] / s, rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(found["second"][:, :3], rigid["second"][:, :3] / s**2, rtol=1e-5, atol=1e-7)
+    np.testing.assert_array_equal(found["first"][:, 3:], rigid["first"][:, 3:])
 
 
 def test_a_quaternions_gradient_turns_as_its_moment_does(rng):
