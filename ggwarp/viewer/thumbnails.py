@@ -6,16 +6,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ggwarp.editing.map_view import MapView
 from ggwarp.editing.pictures import as_bytes, lit
+from ggwarp.geometry.camera import Camera
 from ggwarp.results.saved_run import SavedRun
 from ggwarp.types import Float32
 
-WIDTH, HEIGHT = 108, 72
+WIDTH, HEIGHT = 240, 160
+"""Pixels: what the page's column is wide, so that nothing is enlarged."""
 _VIEWS = 24  # of the run's poses that are looked at
 _MARGIN = 0.25  # round an object, of its size
 _LEAST = 8  # pixels
@@ -48,22 +49,21 @@ def thumbnails(run: SavedRun, *, device: Any = "cpu") -> Iterator[tuple[int, NDA
             continue
         T_wc = run.poses[rows[best]]
         own = ids == identifier
-        yield identifier, _crop(view.render(T_wc).rgb, view.coverage(T_wc, own)[0])
+        close = MapView(run.gaussians, _closer(run.camera, view.coverage(T_wc, own)[0]), device=device)
+        rgb, coverage = close.render(T_wc).rgb, close.coverage(T_wc, own)[0]
+        picture = np.float32(_LIT) * rgb + np.float32(1.0 - _LIT) * lit(rgb, coverage)
+        yield identifier, as_bytes(np.asarray(picture, np.float32))
 
 
-def _crop(rgb: Float32, coverage: Float32) -> NDArray[np.uint8]:
-    """Return the surroundings of what is covered at the thumbnails' size."""
+def _closer(camera: Camera, coverage: Float32) -> Camera:
+    """Return the camera at the same place that sees what is covered, and some round it, as a thumbnail."""
     height, width = coverage.shape
     rows, columns = np.nonzero(coverage > 0.3 * coverage.max())
     size = max(float(np.ptp(columns)) + 1.0, (float(np.ptp(rows)) + 1.0) * WIDTH / HEIGHT)
     size = min(size * (1.0 + 2.0 * _MARGIN), float(width), height * WIDTH / HEIGHT)
     half_x, half_y = 0.5 * size, 0.5 * size * HEIGHT / WIDTH
-    x = float(np.clip(0.5 * (columns.min() + columns.max()), half_x, max(half_x, width - half_x)))
-    y = float(np.clip(0.5 * (rows.min() + rows.max()), half_y, max(half_y, height - half_y)))
-    picture = np.float32(_LIT) * rgb + np.float32(1.0 - _LIT) * lit(rgb, coverage)
+    x = float(np.clip(0.5 * (columns.min() + columns.max()), half_x - 0.5, max(half_x, width - half_x) - 0.5))
+    y = float(np.clip(0.5 * (rows.min() + rows.max()), half_y - 0.5, max(half_y, height - half_y) - 0.5))
     scale = WIDTH / size
-    to_crop = np.array([[scale, 0.0, scale * (half_x - x)], [0.0, scale, scale * (half_y - y)]])
-    crop = cv2.warpAffine(
-        picture, to_crop, (WIDTH, HEIGHT), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
-    )
-    return as_bytes(np.asarray(crop, np.float32))
+    cx, cy = scale * (camera.cx - x + half_x) - 0.5, scale * (camera.cy - y + half_y) - 0.5
+    return Camera(WIDTH, HEIGHT, scale * camera.fx, scale * camera.fy, cx, cy)

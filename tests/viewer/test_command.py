@@ -83,3 +83,11 @@ def test_a_path_goes_through_its_views(rng):
         assert steps.max() < 0.16 * way and np.isclose(steps.sum(), way)
     for T_wc in path:
         np.testing.assert_allclose(T_wc[:3, :3] @ T_wc[:3, :3].T, np.eye(3), atol=1e-9)
+
+
+def test_a_thumbnail_has_its_object_in_the_middle_and_large(run_folder):
+    pictures = dict(found for found in thumbnails(load_run(run_folder)) if found is not None)
+    red = pictures[5][HEIGHT // 2, :, 0].astype(int)
+    inside = np.nonzero(red > 0.75 * red.max())[0]
+    assert WIDTH // 4 < np.ptp(inside) < WIDTH
+    assert abs(inside.mean() - 0.5 * WIDTH) < 0.15 * WIDTH
