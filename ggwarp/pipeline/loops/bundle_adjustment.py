@@ -27,8 +27,8 @@ _CAUCHY = 2.0
 _FEWEST = 3
 """A point that fewer pictures see says nothing of what it is not told."""
 
-_PARALLAX = 0.0175
-"""Rays to a point differ by this at least, radians: its distance is known to a part in a hundred or so."""
+_DISTANCE = 0.1
+"""A point is known when two rays that differ as its do tell its distance to this share of it."""
 
 GATES = (6.0,)
 """Observations farther from their point than so many standard deviations are left out, in each round."""
@@ -79,7 +79,8 @@ def triangulate_points(camera: Camera, poses: Float64, seen: Observations, count
     np.add.at(b, seen.points, np.einsum("mij,mj->mi", across, poses[seen.views, :3, 3]))
     number = np.bincount(seen.points, minlength=count)
     # Of two rays that differ by a small angle t the smallest eigenvalue is t^2 / 2.
-    known = np.linalg.eigvalsh(A)[:, 0] > number * _PARALLAX**2 / 4.0
+    parallax = _pixel(camera) / camera.fx / _DISTANCE
+    known = np.linalg.eigvalsh(A)[:, 0] > number * parallax**2 / 4.0
     points = np.full((count, 3), np.nan)
     points[known] = np.linalg.solve(A[known], b[known][..., None])[..., 0]
     return points

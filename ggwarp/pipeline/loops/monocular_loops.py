@@ -95,8 +95,7 @@ class MonocularLoops(Stateful):
     def observe(self, frame: Frame, result: TrackResult, scope: Scope = nullcontext) -> Closure | None:
         """Take in a tracked frame; return how poses change by it, if they do.
 
-        Args:
-            scope: of work on the device; there is none.
+        ``scope`` is not used: there is no work on the device.
         """
         started = time.perf_counter()
         closure, views = None, self._views
@@ -203,7 +202,7 @@ class MonocularLoops(Stateful):
         a, b = self._views[loop.a], self._views[loop.b]
         return a.T_wc @ loop.S_ab @ se3.inverse(b.T_wc)
 
-    def _close(self, loop: MeasuredSimilarity, started: float) -> Closure:
+    def _close(self, loop: MeasuredSimilarity, started: float) -> Closure | None:
         """Spread what a loop says over all views, and adjust them together."""
         before = np.stack([v.T_wc for v in self._views])
         rotation, translation, scale = _DRIFT
@@ -226,7 +225,7 @@ class MonocularLoops(Stateful):
             numbers, before, poses, started, seen_before=self._views[loop.a].index, gates=_GATES
         )
 
-    def _adjust_window(self, started: float) -> Closure:
+    def _adjust_window(self, started: float) -> Closure | None:
         """Adjust the newest views; those before them that show the same points stay."""
         begin = max(len(self._views) - _WINDOW, 1)
         shown = np.unique(np.concatenate([v.tracks for v in self._views[begin:]]))
@@ -246,7 +245,7 @@ class MonocularLoops(Stateful):
         begin: int = 1,
         seen_before: int | None = None,
         gates: tuple[float, ...] = GATES,
-    ) -> Closure:
+    ) -> Closure | None:
         """Adjust views from other poses than theirs, and the points that they show.
 
         Args:
@@ -263,6 +262,9 @@ class MonocularLoops(Stateful):
         after, found = adjust_bundle(
             self._camera, poses, seen, len(points), fixed=fixed, depth=depth, gates=gates
         )
+        told = seen.only(np.isfinite(found[seen.points, 0]))
+        if np.count_nonzero(told.views == len(views) - 1) < _INLIERS:
+            return None  # the camera has hardly moved, or before what has no features
         self._points[points[free_points]] = found[free_points]
         scales = self._scales(views, after)
         if fixed.sum() == 1:
