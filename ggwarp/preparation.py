@@ -10,6 +10,7 @@ from typing import Any
 from ggwarp.config import ConfigError, RunConfig
 from ggwarp.console import Display
 from ggwarp.datasets import Dataset, FrameReader
+from ggwarp.map.submap import MapBudget
 from ggwarp.pipeline.earlier_map import EmptyMapError
 from ggwarp.pipeline.scheduler import LiveScheduler, Scheduler, UncappedScheduler
 from ggwarp.pipeline.slam import Slam
@@ -39,8 +40,8 @@ def build_system(
 
     Args:
         reader: of the frames that it is to process.
-        budget: bytes for the images of keyframes.
-        folder: tells where those go that are beyond it.
+        budget: bytes for the images of keyframes, and where ``--memory`` is given for the map, half each.
+        folder: tells where what is beyond it goes.
         earlier: the run in whose map it begins; None: with an empty map.
 
     Raises:
@@ -65,13 +66,18 @@ def _slam(
     folder: Callable[[], Path],
     earlier: SavedRun | None,
 ) -> Slam:
+    # What is drawn of a map depends on what of it is there: only who asks for less gets less.
+    whole = config.memory is None
+    map_budget = None if whole else MapBudget(budget // 2, folder)
+    images = ImageStore(device=config.device, budget=budget if whole else budget - budget // 2, folder=folder)
     return Slam(
         config.slam,
         reader.camera,
         reader.sensor_camera,
         device=config.device,
         scheduler=_scheduler(config, len(reader)),
-        images=ImageStore(device=config.device, budget=budget, folder=folder),
+        images=images,
+        map_budget=map_budget,
         earlier=earlier,
     )
 

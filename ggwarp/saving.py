@@ -13,6 +13,7 @@ from typing import Any
 
 from ggwarp import messages
 from ggwarp.console import Display
+from ggwarp.map.gaussians import identities
 from ggwarp.report.gallery import Gallery
 from ggwarp.report.page import write_report
 from ggwarp.results import run_folder
@@ -21,7 +22,7 @@ from ggwarp.results.metrics import metrics_of
 from ggwarp.results.record import RunRecord
 from ggwarp.results.renders import RenderWriter
 from ggwarp.results.staging import StagedFolder
-from ggwarp.types import Float32, Frame, Rendered
+from ggwarp.types import Frame, Rendered
 
 _NEEDED = {"saving the trajectory", "saving the map"}
 """Without these there is nothing to keep."""
@@ -239,13 +240,14 @@ class Saver:
             self._told.add(same)
 
     def _save_map(self, slam: run_folder.System) -> None:
-        arrays = slam.map_arrays()
-        self._gaussians = len(arrays)
-        run_folder.write_map(self._folder.path, arrays)
-        reports = self._record.reports
+        folder, reports = self._folder.path, self._record.reports
+        self._gaussians = sum(len(part) for part in slam.map_parts())
+        run_folder.write_map(folder, slam.map_parts)
         self.attempt(
             "saving the first view",
-            lambda: run_folder.write_first_view(self._folder.path, arrays, slam.camera, reports),
+            lambda: run_folder.write_first_view(
+                folder, run_folder.outline(slam.map_parts), slam.camera, reports
+            ),
         )
 
     def _save_metrics(self) -> None:
@@ -259,15 +261,15 @@ class Saver:
 class ViewSaver:
     """Writes the views of some frames as pictures; where that fails it is said, and no more are written."""
 
-    def __init__(self, saver: Saver, every: int | None, identities: Callable[[], Float32 | None]) -> None:
+    def __init__(self, saver: Saver, every: int | None, parts: run_folder.Parts) -> None:
         """Prepare to be given views.
 
         Args:
             every: so many of the run's frames have renders; None or 0: none has.
-            identities: gives the map's, [n, 16], for the features' basis.
+            parts: gives the map, for the features' basis.
         """
         indices = [r.index for r in saver.record.reports]
-        self._saver, self._identities = saver, identities
+        self._saver, self._parts = saver, parts
         self._rendered = set(indices[::every]) if every else set()
         self._gallery = Gallery(indices)
         self._writer: RenderWriter | None = None
@@ -286,7 +288,7 @@ class ViewSaver:
 
     def _write(self, index: int, view: Rendered) -> None:
         if self._writer is None:
-            self._writer = RenderWriter(self._saver.folder / "renders", self._identities())
+            self._writer = RenderWriter(self._saver.folder / "renders", identities(self._parts()))
         self._writer.write(index, view)
 
 

@@ -283,8 +283,8 @@ class Session:
         write_camera(folder / "camera.json", self._reader.camera)
 
     def _compare(self) -> None:
-        record, identities = self.record, lambda: self._slam.map_arrays().identities
-        views = ViewSaver(self._saver, self.config.save_renders, identities)
+        record = self.record
+        views = ViewSaver(self._saver, self.config.save_renders, self._slam.map_parts)
 
         def on_view(frame: Frame, view: Rendered, score: FrameScore) -> None:
             self._display.advance()

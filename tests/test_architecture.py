@@ -47,10 +47,10 @@ ALLOWED: dict[str, set[str]] = {
     "config": {"types", "geometry", "io", "datasets", "console", "results", *_SYSTEM},
     "console": {"io"},
     "messages": {"types", "io", "config", "console", "datasets", "results", "pipeline.loops"},
-    "saving": {"types", "console", "messages", "results", "report"},
+    "saving": {"types", "map", "console", "messages", "results", "report"},
     "checkpointing": {"runtime", "io", "datasets", "results", "config", "console", *_SYSTEM},
     "interruption": set(),
-    "preparation": {"runtime", "datasets", "results", "config", "console", *_SYSTEM},
+    "preparation": {"runtime", "map", "datasets", "results", "config", "console", *_SYSTEM},
     "session": {"types", "runtime", "io", "datasets", "evaluation", "results"}
     | {"config", "console", "interruption", "preparation", "messages", "saving", "checkpointing", *_SYSTEM}
     | {"viewer"},

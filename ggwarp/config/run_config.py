@@ -75,8 +75,9 @@ class RunConfig:
     """Track and map at the same time, in two threads. The word auto means with --fps uncapped."""
 
     memory: float | None = None
-    """Gigabytes for keyframes' images and for frames kept for the evaluation. Beyond them images go to a
-    temporary file beside the results, and frames are read again. Default: a third of the machine's memory."""
+    """Gigabytes for the map, for keyframes' images and for frames kept for the evaluation. Beyond them images
+    and what of the map is out of view go to temporary files beside the results, and frames are read again.
+    Default: a third of the machine's memory, and all of the map."""
 
     out: Path | None = None
     """The run folder. Default: runs/SEQ/UTC-TIME, linked as runs/latest."""

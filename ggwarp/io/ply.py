@@ -10,6 +10,7 @@ take every property for one.
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import BinaryIO
 
@@ -74,8 +75,31 @@ def write_ply(path: str | Path, gaussians: Gaussians, *, sh_degree: int = 0) -> 
         OSError: the file cannot be written.
         ValueError: the arrays' shapes do not fit together.
     """
+    write_ply_parts(path, lambda: [gaussians], sh_degree=sh_degree)
+
+
+def write_ply_parts(path: str | Path, parts: Callable[[], Iterable[Gaussians]], *, sh_degree: int = 0) -> int:
+    """Write the Gaussians of all ``parts``, one after another; return how many they are.
+
+    Args:
+        parts: gives them twice, from the first on: their number comes before them in the file.
+        sh_degree: as of :func:`write_ply`.
+
+    Raises:
+        OSError: the file cannot be written.
+        ValueError: the arrays' shapes do not fit together, or those of one part with another's.
+    """
+    count, types = 0, dict[str, str]()
+    for part in parts():
+        own = _property_types(part, sh_degree)
+        if types and own.keys() != types.keys():
+            raise ValueError("only some of the maps have object ids, or identities")
+        count, types = count + len(part), {name: _wider(own[name], types.get(name)) for name in own}
     with atomic_write(path) as file:
-        file.write(ply_bytes(gaussians, sh_degree=sh_degree))
+        file.write(_header(count, types))
+        for part in parts():
+            file.write(_table(part, types).tobytes())
+    return count
 
 
 def ply_bytes(gaussians: Gaussians, *, sh_degree: int = 0) -> bytes:
@@ -84,12 +108,12 @@ def ply_bytes(gaussians: Gaussians, *, sh_degree: int = 0) -> bytes:
     Raises:
         ValueError: the arrays' shapes do not fit together.
     """
-    g = gaussians
-    quats = np.asarray(g.quats, np.float64)
-    length = np.linalg.norm(quats, axis=1, keepdims=True)
-    unit = np.divide(quats, length, out=np.tile([1.0, 0.0, 0.0, 0.0], (len(quats), 1)), where=length > 0.0)
-    columns = {"means": g.means, "colours": g.colours, "opacity_logits": g.opacity_logits}
-    columns |= {"log_scales": g.log_scales, "quats": unit}
+    types = _property_types(gaussians, sh_degree)
+    return _header(len(gaussians), types) + _table(gaussians, types).tobytes()
+
+
+def _property_types(g: Gaussians, sh_degree: int) -> dict[str, str]:
+    """Return the type of each property of a file of ``g``, in its order."""
     rest = tuple(f"f_rest_{i}" for i in range(3 * ((sh_degree + 1) ** 2 - 1)))
     names = [*_GROUPS["means"], *_NORMAL, *_GROUPS["colours"], *rest]
     names += [name for group in list(_GROUPS)[2:] for name in _GROUPS[group]]
@@ -97,20 +121,38 @@ def ply_bytes(gaussians: Gaussians, *, sh_degree: int = 0) -> bytes:
         names.append("object_id")
     if g.identities is not None:
         names += _IDENTITY
-    count = len(quats)
     types = dict.fromkeys(names, "<f4")
     if g.object_ids is not None and np.max(g.object_ids, initial=0) > _LARGEST_EXACT:
         types["object_id"] = "<i4"
-    table = np.zeros(count, np.dtype(list(types.items())))
+    return types
+
+
+def _wider(one: str, other: str | None) -> str:
+    """Return the type that holds the ids of both."""
+    return "<i4" if "<i4" in (one, other) else one
+
+
+def _header(count: int, types: dict[str, str]) -> bytes:
+    lines = ["ply", "format binary_little_endian 1.0", "comment ggwarp", f"element vertex {count}"]
+    lines += [f"property {_NAMES[kind]} {name}" for name, kind in types.items()] + ["end_header\n"]
+    return "\n".join(lines).encode()
+
+
+def _table(g: Gaussians, types: dict[str, str]) -> NDArray:
+    """Return the rows of the file."""
+    quats = np.asarray(g.quats, np.float64)
+    length = np.linalg.norm(quats, axis=1, keepdims=True)
+    unit = np.divide(quats, length, out=np.tile([1.0, 0.0, 0.0, 0.0], (len(quats), 1)), where=length > 0.0)
+    columns = {"means": g.means, "colours": g.colours, "opacity_logits": g.opacity_logits}
+    columns |= {"log_scales": g.log_scales, "quats": unit}
+    table = np.zeros(len(quats), np.dtype(list(types.items())))
     for group, values in columns.items():
         _fill(table, _GROUPS[group], values, group)
     if g.object_ids is not None:
         _fill(table, ("object_id",), g.object_ids, "object_ids")
     if g.identities is not None:
         _fill(table, _IDENTITY, g.identities, "identities")
-    lines = ["ply", "format binary_little_endian 1.0", "comment ggwarp", f"element vertex {count}"]
-    lines += [f"property {_NAMES[kind]} {name}" for name, kind in types.items()] + ["end_header\n"]
-    return "\n".join(lines).encode() + table.tobytes()
+    return table
 
 
 def read_ply(path: str | Path) -> Gaussians:

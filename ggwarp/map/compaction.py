@@ -29,8 +29,12 @@ def kept_indices(flags: Any, count: int) -> tuple[int, Any]:
     return int(to_host(positions[count - 1 :])[0]), indices
 
 
-def gathered(array: Any, indices: Any, kept: int) -> Any:
-    """Return a new array of the same capacity that begins with rows ``indices[:kept]`` of ``array``."""
-    out = wp.zeros_like(array)
+def gathered(array: Any, indices: Any, kept: int, *, room: int | None = None) -> Any:
+    """Return a new array that begins with rows ``indices[:kept]`` of ``array``, the others zeros.
+
+    Args:
+        room: rows of it; None: as many as ``array`` has.
+    """
+    out = wp.zeros(array.shape[0] if room is None else room, dtype=array.dtype, device=array.device)
     compact.gather_rows(array, indices, count=kept, out=out, device=array.device)
     return out

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from ggwarp.geometry import sim3
 from ggwarp.kernels.math import vec16
@@ -33,7 +34,8 @@ PARAMETERS: dict[str, Any] = {
 }
 """What is optimised: field name -> row type."""
 
-_GROWTH = 1.5
+GROWTH = 1.5
+"""Arrays that are full become so many times as long."""
 
 
 class GaussianMap(Stateful):
@@ -90,6 +92,11 @@ class GaussianMap(Stateful):
         return self.fields["means"].shape[0]
 
     @property
+    def row_bytes(self) -> int:
+        """Bytes of one Gaussian."""
+        return sum(wp.types.type_size_in_bytes(array.dtype) for array in self.fields.values())
+
+    @property
     def parameters(self) -> GaussianArrays:
         """The parameters, ``capacity`` rows each."""
         return GaussianArrays(*(self.fields.get(n) for n in PARAMETERS))
@@ -119,8 +126,7 @@ class GaussianMap(Stateful):
         begin, end = self.count, self.count + number
         if number == 0:
             return begin
-        if end > self.capacity:
-            self._reallocate(max(end, int(self.capacity * _GROWTH)))
+        self._provide(end)
         for array in self.fields.values():
             rows: Any = array[begin:end]
             rows.zero_()
@@ -144,21 +150,41 @@ class GaussianMap(Stateful):
             self.version += 1
         return dropped
 
-    def move(self, motions: Float64) -> None:
+    def take_out(self, chosen: NDArray[np.bool_]) -> dict[str, wp.array]:
+        """Drop the Gaussians that are ``chosen`` [count], and return all their rows, in stable order."""
+        flags = wp.array(chosen.astype(np.int32), dtype=int, device=self.device)
+        taken, indices = kept_indices(flags, self.count)
+        rows = {name: gathered(array, indices, taken, room=taken) for name, array in self.fields.items()}
+        self.keep(wp.array((~chosen).astype(np.int32), dtype=int, device=self.device))
+        return rows
+
+    def put_back(self, rows: dict[str, wp.array]) -> None:
+        """Add ``rows`` of all fields, which :meth:`take_out` returned, at the end."""
+        begin, end = self.count, self.count + rows["means"].shape[0]
+        self._provide(end)
+        for name, array in self.fields.items():
+            into: Any = array[begin:end]
+            wp.copy(into, rows[name])
+        self.count = end
+        self.version += 1
+
+    def move(self, motions: Float64, *, begin: int = 0) -> None:
         """Move each Gaussian by that of ``motions`` [k, 4, 4] of its keyframe, with Adam's memory of it.
 
         Args:
             motions: rigid, or similarities, see :mod:`ggwarp.geometry.sim3`.
+            begin: Gaussians before this one stay.
         """
-        if not self.count:
+        if self.count <= begin:
             return
         names = ("keyframe_ids", "means", "quats", "log_scales", "first", "second")
         rigid, scales = zip(*(sim3.split(motion) for motion in motions), strict=True)
+        rows: dict[str, Any] = {name: self.fields[name] for name in names}
         move_gaussians(
             wp.array(np.stack(rigid).astype(np.float32), dtype=wp.mat44, device=self.device),
             wp.array(np.array(scales, np.float32), dtype=float, device=self.device),
-            count=self.count,
-            **{name: self.fields[name] for name in names},
+            count=self.count - begin,
+            **{name: array[begin : self.count] for name, array in rows.items()},
             device=self.device,
         )
 
@@ -166,6 +192,11 @@ class GaussianMap(Stateful):
         """Return copies of the rows in use: the parameters, ``keyframe_ids`` and ``votes``."""
         names = [n for n in (*PARAMETERS, "keyframe_ids", "votes") if n in self.fields]
         return Gaussians(**{n: to_host(self.fields[n])[: self.count].copy() for n in names})
+
+    def _provide(self, count: int) -> None:
+        """Make room for so many Gaussians."""
+        if count > self.capacity:
+            self._reallocate(max(count, int(self.capacity * GROWTH)))
 
     def _reallocate(self, capacity: int) -> None:
         for name, old in self.fields.items():

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
@@ -62,6 +63,12 @@ class Gaussians:
     def take(self, rows: NDArray[np.bool_] | NDArray[np.integer[Any]]) -> Gaussians:
         """Return the Gaussians of ``rows``: [n] bool which of them, or [k] row numbers, which may repeat."""
         return Gaussians(**{name: array[rows] for name, array in self.arrays().items()})
+
+
+def identities(parts: Iterable[Gaussians]) -> Float32 | None:
+    """Return [n, 16] those of a map's ``parts``; None where it has none."""
+    known = [part.identities for part in parts if part.identities is not None]
+    return np.concatenate(known) if known else None
 
 
 def join(first: Gaussians, *others: Gaussians) -> Gaussians:

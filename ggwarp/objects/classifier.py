@@ -232,10 +232,15 @@ class Classifier(Stateful):
         """As :meth:`classify_image`, but [h, w] int and float stay on the device."""
         return self._classified(classify_pixels, image, height, width)
 
-    def classify_map(self) -> tuple[NDArray[np.int32], Float32]:
-        """Return [n] the likeliest class of each Gaussian and [n] its probability."""
-        n = self._map.count
-        return _on_host(self._classified(classify_gaussians, self._map.fields["identities"][:n], n))
+    def classify_map(self, part: GaussianMap | None = None) -> tuple[NDArray[np.int32], Float32]:
+        """Return [n] the likeliest class of each Gaussian and [n] its probability.
+
+        Args:
+            part: another part of the map than is being fitted.
+        """
+        gaussians = self._map if part is None else part
+        n = gaussians.count
+        return _on_host(self._classified(classify_gaussians, gaussians.fields["identities"][:n], n))
 
     def _classified(self, classify: Callable[..., None], identities: Any, *shape: int) -> tuple[Any, Any]:
         labels = wp.empty(shape, dtype=int, device=self._device)

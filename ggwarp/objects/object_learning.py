@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ggwarp.geometry.camera import Camera
 from ggwarp.geometry.pixel_grid import PixelGrid
 from ggwarp.map.gaussian_map import GaussianMap
-from ggwarp.map.gaussians import Gaussians
+from ggwarp.map.gaussians import Gaussians, join
 from ggwarp.map.renderer import Planes, Renderer
 from ggwarp.objects.class_table import IGNORED, NO_OBJECT, ClassTable
 from ggwarp.objects.classifier import Classifier, ClassifierConfig, IdentitySeeds
@@ -211,24 +211,40 @@ class ObjectLearning(Stateful):
         objects = np.where(rendered.opacity > _OPAQUE, self.classes.decode(rendered.classes), NO_OBJECT)
         return replace(rendered, identity=identity, objects=objects.astype(np.int32))
 
-    def object_ids(self) -> tuple[NDArray[np.int32], Float32]:
-        """Return [n] the object of each Gaussian as the masks name it, 0 = none, and [n] its probability."""
-        classes, probabilities = self.classifier.classify_map()
+    def object_ids(self, part: GaussianMap | None = None) -> tuple[NDArray[np.int32], Float32]:
+        """Return [n] the object of each Gaussian as the masks name it, 0 = none, and [n] its probability.
+
+        Args:
+            part: another part of the map than is being fitted.
+        """
+        classes, probabilities = self.classifier.classify_map(part)
         ids = np.where(probabilities > _PROBABLE, self.classes.decode(classes), NO_OBJECT)
         return ids.astype(np.int32), probabilities
 
-    def inventory(self, names: dict[int, str]) -> list[ObjectRecord]:
-        """Describe the objects; ``names`` are their classes by id, where known."""
-        object_ids, probabilities = self.object_ids()
-        gaussians, sources = self._map.to_host(), self.classes.sources()
+    def inventory(
+        self, names: dict[int, str], parts: Iterable[GaussianMap] | None = None
+    ) -> list[ObjectRecord]:
+        """Describe the objects.
+
+        Args:
+            names: their classes by id, where known.
+            parts: all of the map; None: it is what is being fitted.
+        """
+        shapes, ids, likely = [], [], []
+        for part in [self._map] if parts is None else parts:
+            shapes.append(replace(part.to_host(), identities=None, keyframe_ids=None, votes=None))
+            found, probabilities = self.object_ids(part)
+            ids.append(found)
+            likely.append(probabilities)
+        gaussians, sources = join(*shapes), self.classes.sources()
         records = inventory(
             gaussians.means,
             gaussians.colours,
-            object_ids,
+            np.concatenate(ids),
             names=self.classes.named(names),
             sources=sources,
             visibility=self.visibility.renamed(self.classes.ids),
-            probabilities=probabilities,
+            probabilities=np.concatenate(likely),
             extents=gaussians.extents(),
         )
         return [_as_told(r, self._told.get(r.id, {}), anew=r.id in sources) for r in records]

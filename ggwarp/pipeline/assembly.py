@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import Any
 
 from ggwarp.geometry.camera import Camera
+from ggwarp.map.submap import MapBudget
 from ggwarp.pipeline.mapping.build import build_mapper
 from ggwarp.pipeline.mapping.mapper import Mapper
 from ggwarp.pipeline.slam_config import SlamConfig
@@ -13,8 +14,10 @@ from ggwarp.pipeline.tracking.keyframe_policy import CovisibilityKeyframes, Keyf
 from ggwarp.runtime.image_store import ImageStore
 
 
-def make_mapper(config: SlamConfig, camera: Camera, *, device: Any, images: ImageStore | None) -> Mapper:
-    """Return the mapper of an empty map; for ``images`` see :func:`build_mapper`."""
+def make_mapper(
+    config: SlamConfig, camera: Camera, *, device: Any, images: ImageStore | None, budget: MapBudget | None
+) -> Mapper:
+    """Return the mapper of an empty map; for ``images`` and ``budget`` see :func:`build_mapper`."""
     return build_mapper(
         config.mapper,
         camera,
@@ -24,6 +27,7 @@ def make_mapper(config: SlamConfig, camera: Camera, *, device: Any, images: Imag
         window=config.window if config.policy == "covisibility" else None,
         monocular=config.mono,
         images=images,
+        budget=budget,
     )
 
 

@@ -19,8 +19,9 @@ from typing import Any
 import numpy as np
 
 from ggwarp.geometry.camera import Camera
-from ggwarp.map.gaussians import Gaussians
+from ggwarp.map.gaussians import Gaussians, join
 from ggwarp.map.renderer import Renderer
+from ggwarp.map.submap import MapBudget
 from ggwarp.objects.inventory import ObjectRecord
 from ggwarp.objects.linear_classifier import LinearClassifier
 from ggwarp.pipeline.assembly import make_mapper, make_policy
@@ -49,9 +50,8 @@ class Slam:
     """Object-level RGB-D SLAM, one frame at a time.
 
     Attributes:
-        device: Warp device. camera: of the frames' pictures.
-        map: the Gaussians.
-        reports: one row a frame.
+        device: Warp device. camera: of the frames' pictures. reports: one row a frame.
+        map: the Gaussians, those on the device.
         keyframe_indices: frames that were ever used for mapping.
         counts: tracking_keyframes, mapping_keyframes, frames_lost, loops_closed; the mapper's ``left_out``.
         loops: closes them; says why they stay open.
@@ -68,6 +68,7 @@ class Slam:
         device: Any = "cpu",
         scheduler: Scheduler | None = None,
         images: ImageStore | None = None,
+        map_budget: MapBudget | None = None,
         earlier: SavedRun | None = None,
     ) -> None:
         """Build the map, empty or as an ``earlier`` run left it, and the parts that work on it.
@@ -77,6 +78,7 @@ class Slam:
             sensor_camera: of the frames' ``sensor_depth``.
             scheduler: when frames come and how much mapping they get; None: ``config.mapper.iterations``.
             images: holds those of the keyframes, on ``device``; None: all of them stay in memory.
+            map_budget: what of the map is on ``device``; None: all of it.
             earlier: goes on in its map: the first frame is looked for in it. Needs depth.
 
         Raises:
@@ -84,15 +86,13 @@ class Slam:
         """
         chosen = "covisibility" if config.tracker == "photometric" else "overlap"
         self.config = dataclasses.replace(config, policy=chosen) if config.policy == "auto" else config
-        self.device = device
-        self.camera, self._sensor_camera = camera, sensor_camera
-        self._images, self.earlier = images, earlier
+        self.device, self.camera, self._sensor_camera = device, camera, sensor_camera
+        self.earlier, self._stores = earlier, {"images": images, "budget": map_budget}
         self._scheduler = scheduler or SynchronousScheduler(config.mapper.iterations)
         self._tracking_scope = self.mapping_scope = NO_LOCK
         self._restart_at: Float64 | None = None
-        self._unmapped = 0
         self._moved_by: int | None = None
-        self._poses = EstimatedPoses()
+        self._unmapped, self._poses = 0, EstimatedPoses()
         self.reports: list[StepReport] = []
         self.counts = {"tracking_keyframes": 0, "mapping_keyframes": 0, "frames_lost": 0, "loops_closed": 0}
         self._build()
@@ -102,22 +102,18 @@ class Slam:
         config, device, camera = self.config, self.device, self.camera
         self._trackable = TrackableMap(config.trackable, device=device)
         self._earlier_poses: dict[int, Float64] = {}
-        self._mapper = make_mapper(config, camera, device=device, images=self._images)
+        self._mapper = make_mapper(config, camera, device=device, **self._stores)
         self.map = self._mapper.map
         self._policy = make_policy(config, self._mapper)
-        renderer = Renderer(self.map, camera, identity=False)
-        self._tracker = make_tracker(
-            TrackerContext(config, camera, self._sensor_camera, renderer, device, config.mono)
-        )
-        cameras = camera, self._sensor_camera
+        renderer, cameras = Renderer(self.map, camera, identity=False), (camera, self._sensor_camera)
+        self._tracker = make_tracker(TrackerContext(config, *cameras, renderer, device, config.mono))
         self.loops = TrackingLoops(config, cameras, self._tracker, self._policy, self._trackable)
         parts = MapParts(self._mapper, self._trackable, self._tracker, self.loops)
         self.localiser = None if self.earlier is None else enter_map(self.earlier, config, cameras, parts)
 
     def step(self, frame: Frame) -> StepReport:
         """Process the next frame: pose first, then the map."""
-        tracked = self.track_frame(frame)
-        return self.map_frame(tracked)
+        return self.map_frame(self.track_frame(frame))
 
     def track_frame(self, frame: Frame) -> TrackedFrame:
         """Find the next frame's pose and what it adds (the tracker's side)."""
@@ -237,13 +233,17 @@ class Slam:
         """Frames whose mask voted for the map's objects, though they were not mapped."""
         return self._mapper.objects.voting_indices if self._mapper.objects else []
 
+    def map_parts(self) -> Iterator[Gaussians]:
+        """Yield the map on the host, with object ids, part by part."""
+        return self._mapper.parts()
+
     def map_arrays(self) -> Gaussians:
         """Return the map on the host, with object ids."""
-        return self._mapper.export()
+        return join(*self.map_parts())
 
     def objects(self, names: dict[int, str]) -> list[ObjectRecord]:
         """Describe the map's objects; ``names`` are their classes by id, where known."""
-        return self._mapper.objects.inventory(names) if self._mapper.objects else []
+        return self._mapper.inventory(names)
 
     def linear_classifier(self) -> LinearClassifier | None:
         """Return what tells identities apart; None without identities."""
@@ -320,7 +320,8 @@ class Slam:
         return loss
 
     def _report(self, tracked: TrackedFrame, seconds: float, iterations: int, loss: float) -> StepReport:
-        report = tracked.report(seconds=seconds, iterations=iterations, gaussians=self.map.count, loss=loss)
+        spent: dict[str, Any] = {"seconds": seconds, "iterations": iterations, "loss": loss}
+        report = tracked.report(gaussians=self._mapper.submaps.count, **spent)
         self.counts["frames_lost"] += tracked.is_lost
         if tracked.is_keyframe:
             self.counts[f"{tracked.kind.value}_keyframes"] += 1

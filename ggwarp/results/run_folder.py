@@ -8,7 +8,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -18,10 +18,10 @@ import numpy as np
 from ggwarp.geometry.camera import Camera
 from ggwarp.io.camera import write_camera
 from ggwarp.io.json import write_json
-from ggwarp.io.ply import write_ply
+from ggwarp.io.ply import write_ply_parts
 from ggwarp.io.table import write_table
 from ggwarp.io.trajectory import write_tum
-from ggwarp.map.gaussians import Gaussians
+from ggwarp.map.gaussians import Gaussians, join
 from ggwarp.objects.inventory import ObjectRecord
 from ggwarp.objects.linear_classifier import LinearClassifier, write_classifier
 from ggwarp.results.metrics import ate_per_frame
@@ -111,9 +111,19 @@ def write_trajectories(folder: Path, record: RunRecord) -> None:
         write_tum(folder / "trajectory_gt.txt", [r.timestamp for r in known], poses)
 
 
-def write_map(folder: Path, gaussians: Gaussians) -> None:
-    """Write ``map.ply``."""
-    write_ply(folder / "map.ply", gaussians)
+Parts = Callable[[], Iterable[Gaussians]]
+"""Gives a map part by part, again whenever it is called."""
+
+
+def write_map(folder: Path, parts: Parts) -> int:
+    """Write ``map.ply``; return how many Gaussians it has."""
+    return write_ply_parts(folder / "map.ply", parts)
+
+
+def outline(parts: Parts) -> Gaussians:
+    """Return all of a map, but of each Gaussian no more than a view of it needs."""
+    unneeded = dict.fromkeys(("object_ids", "identities", "keyframe_ids", "votes"))
+    return join(*(replace(part, **unneeded) for part in parts()))
 
 
 def write_first_view(
@@ -143,7 +153,7 @@ class System(Protocol):
     camera: Camera
 
     def fitted_poses(self) -> dict[int, Float64]: ...
-    def map_arrays(self) -> Gaussians: ...
+    def map_parts(self) -> Iterable[Gaussians]: ...
     def objects(self, names: dict[int, str]) -> list[ObjectRecord]: ...
     def linear_classifier(self) -> LinearClassifier | None: ...
 
@@ -162,11 +172,10 @@ def write_system(folder: Path, system: System, names: dict[int, str]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     poses = system.fitted_poses()
     reports = [replace(r, T_wc=poses[r.index]) for r in system.reports]
-    gaussians = system.map_arrays()
     write_trajectory(folder, reports)
     write_camera(folder / "camera.json", system.camera)
-    write_map(folder, gaussians)
-    write_first_view(folder, gaussians, system.camera, reports)
+    write_map(folder, system.map_parts)
+    write_first_view(folder, outline(system.map_parts), system.camera, reports)
     write_objects(folder, system.objects(names))
     write_identities(folder, system.linear_classifier())
 

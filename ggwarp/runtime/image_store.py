@@ -65,6 +65,7 @@ class ImageStore:
         device: Any,
         budget: int | None = None,
         folder: Callable[[], Path] | None = None,
+        level: int = _LEVEL,
     ) -> None:
         """Make an empty store.
 
@@ -72,8 +73,9 @@ class ImageStore:
             device: Warp device of the arrays in memory.
             budget: bytes; None: all stay in memory.
             folder: tells where the file will be, when it is first needed; None: the temporary folder.
+            level: of zlib; 0 for what does not compress: arrays are then written as they are.
         """
-        self.device, self._budget, self._folder = device, budget, folder
+        self.device, self._budget, self._folder, self._level = device, budget, folder, level
         self._arrays: OrderedDict[Hashable, wp.array] = (
             OrderedDict()
         )  # in memory, the one used last at the end
@@ -143,13 +145,13 @@ class ImageStore:
                     self._write(key, self._arrays[key])
                 except OSError as error:
                     self._budget = None
-                    log.warning("images stay in memory beyond their budget: no file for them (%s)", error)
+                    log.warning("images, or a part of the map, stay in memory: no file for them (%s)", error)
                     return
             self.held -= self._arrays.pop(key).capacity
 
     def _write(self, key: Hashable, array: wp.array) -> None:
         image = to_host(array)
-        packed = zlib.compress(image.tobytes(), _LEVEL)
+        packed = zlib.compress(image.tobytes(), self._level)
         place = self._places.get(key)
         if place is None or place.room < len(packed):
             offset, room = self._end, -(-(len(packed) + len(packed) // 4) // _BLOCK) * _BLOCK

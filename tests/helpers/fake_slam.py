@@ -27,7 +27,18 @@ class FakeSlam:
     has_state = False
     localiser = earlier = None
 
-    def __init__(self, config, camera, sensor_camera, *, device, scheduler=None, images=None, earlier=None):
+    def __init__(
+        self,
+        config,
+        camera,
+        sensor_camera,
+        *,
+        device,
+        scheduler=None,
+        images=None,
+        map_budget=None,
+        earlier=None,
+    ):
         self.camera, self.device, self.scheduler = camera, device, scheduler
         self.refined = 0
         self.keyframe_indices, self.voting_indices = [0, 1], [3]
@@ -73,6 +84,9 @@ class FakeSlam:
         identity = np.zeros((*shape, 16), np.float32)
         grey, opaque = np.full((*shape, 3), 0.5, np.float32), np.ones(shape, np.float32)
         return Rendered(grey, plane, plane, opaque, identity, ids)
+
+    def map_parts(self):
+        yield self.map_arrays()
 
     def map_arrays(self):
         ids = np.array([0, 0, 0, 4, 4, 4, 4], np.int32)

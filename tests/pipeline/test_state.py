@@ -74,6 +74,10 @@ SCRATCH = {
     "GicpTracker.predicted",
     "GicpTracker._seen",
     # Made of the rest, when it is next asked for.
+    "Submaps._balls",
+    "Submaps._hidden",
+    "Submaps._store",
+    "Submaps._told",
     "GicpTracker._target",
     "ReferenceViews._prepared",
     "TrackableMap._snapshot",

@@ -117,7 +117,7 @@ def test_map_and_objects(rng, tmp_path):
     assert gaussians.object_ids is not None
     objects = inventory(gaussians.means, gaussians.colours, gaussians.object_ids, names={5: "chair"})
     classifier = LinearClassifier(np.ones((2, 16), np.float32), np.zeros(2, np.float32), np.array([0, 5]))
-    run_folder.write_map(tmp_path, gaussians)
+    run_folder.write_map(tmp_path, lambda: [gaussians])
     run_folder.write_objects(tmp_path, objects)
     run_folder.write_identities(tmp_path, classifier)
     np.testing.assert_array_equal(read_ply(tmp_path / "map.ply").means, gaussians.means)

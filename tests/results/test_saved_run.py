@@ -29,7 +29,7 @@ def folder(record, tmp_path: Path) -> Path:
     """A run that learnt no objects."""
     run_folder.write_trajectories(tmp_path, record)
     write_camera(tmp_path / "camera.json", CAMERA)
-    run_folder.write_map(tmp_path, _gaussians(4, None))
+    run_folder.write_map(tmp_path, lambda: [_gaussians(4, None)])
     run_folder.write_objects(tmp_path, [])
     return tmp_path
 
@@ -41,7 +41,7 @@ def test_a_run_without_objects_opens(folder):
 
 
 def test_a_run_without_a_list_of_objects_has_those_of_its_map(folder):
-    run_folder.write_map(folder, _gaussians(4, [0, 7, 7, 2]))
+    run_folder.write_map(folder, lambda: [_gaussians(4, [0, 7, 7, 2])])
     (folder / "objects.json").unlink()
     run = load_run(folder)
     assert [(o.id, o.count) for o in run.objects] == [(2, 1), (7, 2)]

@@ -12,6 +12,8 @@ from ggwarp.kernels.optim.adam import AdamRates
 from ggwarp.map.covisibility import Covisibility
 from ggwarp.map.gaussian_map import GaussianMap
 from ggwarp.map.renderer import Renderer
+from ggwarp.map.submap import MapBudget
+from ggwarp.map.submaps import Submaps
 from ggwarp.objects.object_learning import ObjectLearning
 from ggwarp.pipeline.mapping.depth_completion import DepthCompletion
 from ggwarp.pipeline.mapping.exposure import ExposureModel
@@ -35,6 +37,7 @@ def build_mapper(
     rates: AdamRates | None = None,
     recorded: bool | None = None,
     images: ImageStore | None = None,
+    budget: MapBudget | None = None,
 ) -> Mapper:
     """Return the mapper of an empty map.
 
@@ -47,6 +50,7 @@ def build_mapper(
         rates: Adam's learning rates of the Gaussians; None: those of this kind of run.
         recorded: see :class:`ggwarp.pipeline.mapping.optimiser.MapOptimiser`.
         images: holds those of the keyframes, and is emptied; None: all stay in memory.
+        budget: of the map; None: all of it stays on the device.
     """
     gaussians = GaussianMap(device=device, has_identity=use_identity)
     objects = None
@@ -62,12 +66,13 @@ def build_mapper(
     renderer = Renderer(gaussians, camera, identity_shapes=config.classifier.shapes)
     exposures = ExposureModel(renderer, rate=config.exposure_rate) if config.exposure_rate > 0.0 else None
     keyframes = Keyframes(ImageStore(device=device) if images is None else images)
+    submaps = Submaps(gaussians, camera, budget)
     rng = np.random.default_rng(config.seed)
     covisibility = None if window is None else Covisibility(gaussians, camera)
     sampler = (
-        RandomSampler(rng)
+        RandomSampler(rng, submaps)
         if window is None or covisibility is None
-        else WindowSampler(rng, window, covisibility.look, keyframes.pose)
+        else WindowSampler(rng, window, covisibility.look, keyframes.pose, submaps)
     )
     optimiser = MapOptimiser(
         config,
@@ -76,6 +81,7 @@ def build_mapper(
         None if objects is None else objects.classifier,
         keyframes,
         sampler,
+        submaps,
         exposures=exposures,
         rates=rates or (MONOCULAR_RATES if monocular else RATES),
         recorded=recorded,
@@ -87,6 +93,7 @@ def build_mapper(
         keyframes,
         sampler,
         optimiser,
+        submaps,
         objects=objects,
         covisibility=covisibility,
         exposures=exposures,

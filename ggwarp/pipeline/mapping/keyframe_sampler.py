@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggwarp.map.covisibility import Look, Seen
+from ggwarp.map.submaps import Submaps
 from ggwarp.pipeline.mapping.keyframe_window import WindowConfig, keyframes_that_leave, unconfirmed
 from ggwarp.runtime.state import Stateful
 from ggwarp.types import Float64
@@ -48,14 +49,21 @@ class KeyframeSampler(Protocol):
 
 
 class RandomSampler(Stateful):
-    """The newest keyframe first, once; then any, at random (GS-ICP-SLAM)."""
+    """The newest keyframe first, once; then any, at random (GS-ICP-SLAM).
 
-    STATE = ("_rng", "_count", "_newest_pending")
+    What is drawn and is out of memory is put off until there is as much of its submap as this has keyframes,
+    and then comes first: each keyframe has as many iterations as it would have otherwise.
+    """
 
-    def __init__(self, rng: np.random.Generator) -> None:
-        self._rng = rng
+    STATE = ("_rng", "_count", "_newest_pending", "_put_off", "_visited")
+
+    def __init__(self, rng: np.random.Generator, submaps: Submaps) -> None:
+        """Start without keyframes; ``submaps`` tells which of them are out of memory."""
+        self._rng, self._submaps = rng, submaps
         self._count = 0
         self._newest_pending = False
+        self._put_off: dict[int, list[int]] = {}  # by submap
+        self._visited: int | None = None
 
     def add(self) -> None:
         self._count += 1
@@ -68,7 +76,31 @@ class RandomSampler(Stateful):
         if self._newest_pending:
             self._newest_pending = False
             return self._count - 1
-        return int(self._rng.integers(self._count))
+        while True:
+            if self._visited is not None and (number := self._next_put_off()) is not None:
+                return number
+            hidden = self._submaps.hidden_keyframes()
+            number = int(self._rng.integers(self._count))
+            if hidden is None or not hidden[number]:
+                return number
+            submap = self._submaps.of_keyframe(number)
+            waiting = self._put_off.setdefault(submap, [])
+            waiting.append(number)
+            if len(waiting) >= len(self._submaps.keyframes_of(submap)):
+                self._visited = submap
+
+    def _next_put_off(self) -> int | None:
+        """Return the next keyframe of the submap that is visited; None: there is none any more."""
+        assert self._visited is not None
+        waiting = self._put_off[self._visited]
+        if not waiting:
+            self._visited = None
+            self._submaps.visit([])
+            return None
+        hidden = self._submaps.hidden_keyframes()
+        if hidden is not None and hidden[waiting].any():
+            self._submaps.visit(sorted({*waiting}))
+        return waiting.pop()
 
     @property
     def window(self) -> list[int]:
@@ -84,18 +116,25 @@ class WindowSampler(Stateful):
     STATE = ("_rng", "_count", "_round", "_window")
 
     def __init__(
-        self, rng: np.random.Generator, config: WindowConfig, look: Look, pose: Callable[[int], Float64]
+        self,
+        rng: np.random.Generator,
+        config: WindowConfig,
+        look: Look,
+        pose: Callable[[int], Float64],
+        submaps: Submaps,
     ) -> None:
         """Start without keyframes.
 
         Args:
             look: what a pose sees of the map.
             pose: keyframe -> its camera-to-world [4, 4] as it is now.
+            submaps: tells which keyframes are out of memory: they are left out.
         """
         self._rng = rng
         self._config = config
         self._look = look
         self._pose = pose
+        self._submaps = submaps
         self._count = 0
         self._round: list[int] = []
         self._window: list[int] = []
@@ -117,9 +156,11 @@ class WindowSampler(Stateful):
 
     def next(self) -> int:
         if not self._round:
-            past = np.setdiff1d(np.arange(self._count), self._window)
+            hidden = self._submaps.hidden_keyframes()
+            known = np.arange(self._count) if hidden is None else np.flatnonzero(~hidden)
+            past = np.setdiff1d(known, self._window)
             some = self._rng.choice(past, min(_PAST, len(past)), replace=False)
-            *others, newest = self._window
+            *others, newest = [number for number in self._window if number in known]
             self._round = [*self._rng.permutation([*others, *some]).astype(int).tolist(), newest]
         return self._round.pop()
 

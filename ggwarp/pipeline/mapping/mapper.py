@@ -3,37 +3,34 @@
 
 from __future__ import annotations
 
-import logging
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 import warp as wp
 
-from ggwarp.geometry import se3
-from ggwarp.geometry.pixel_grid import PixelGrid
 from ggwarp.geometry.pose_correction import PoseCorrection
 from ggwarp.map.covisibility import Covisibility
 from ggwarp.map.gaussian_map import GaussianMap
 from ggwarp.map.gaussians import Gaussians
 from ggwarp.map.renderer import Renderer
+from ggwarp.map.submaps import Submaps
+from ggwarp.objects.inventory import ObjectRecord
 from ggwarp.objects.masks.mask_supervision import SupervisionConfig
 from ggwarp.objects.object_learning import ObjectLearning
+from ggwarp.pipeline.mapping.contradictions import Contradictions
 from ggwarp.pipeline.mapping.densification import RESET_OPACITY, lower_opacities
 from ggwarp.pipeline.mapping.depth_completion import DepthCompletion
-from ggwarp.pipeline.mapping.earlier_views import EarlierViews
 from ggwarp.pipeline.mapping.exposure import ExposureModel
 from ggwarp.pipeline.mapping.keyframe import Keyframes, upload
 from ggwarp.pipeline.mapping.keyframe_sampler import KeyframeSampler
 from ggwarp.pipeline.mapping.optimiser import MapOptimiser, OptimiserConfig
 from ggwarp.pipeline.mapping.passed_over import PassedOver
 from ggwarp.pipeline.mapping.seeding import Seeder, SeedingConfig, Seen
-from ggwarp.pipeline.mapping.unusable_pictures import unusable
-from ggwarp.pipeline.moving_pixels import Bools, MovingPixels, without_pixels
+from ggwarp.pipeline.moving_pixels import without_pixels
 from ggwarp.runtime.state import Stateful
 from ggwarp.runtime.streams import to_host
 from ggwarp.types import Exposure, Float64, Frame, Rendered
-
-_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -57,7 +54,7 @@ class Mapper(Stateful):
         map: the Gaussians.
         objects: which Gaussian is of which object; None without identities.
         covisibility: what a pose sees of the map; None without a window.
-        left_out: pictures_left_out, pixels_left_out of those mapped, and keyframe_pixels, theirs in all.
+        submaps: the whole map, of which that is what is on the device.
         refused: whether the last picture was left out, and the next frame may take its place.
     """
 
@@ -70,11 +67,10 @@ class Mapper(Stateful):
         "_optimiser",
         "_depth_completion",
         "_identity_rng",
-        "_moving",
-        "left_out",
+        "submaps",
+        "_contradictions",
         "refused",
         "_passed_over",
-        "_earlier",
     )
 
     def __init__(
@@ -85,6 +81,7 @@ class Mapper(Stateful):
         keyframes: Keyframes,
         sampler: KeyframeSampler,
         optimiser: MapOptimiser,
+        submaps: Submaps,
         *,
         objects: ObjectLearning | None = None,
         covisibility: Covisibility | None = None,
@@ -97,6 +94,7 @@ class Mapper(Stateful):
             gaussians: the map to write, empty.
             renderer: shows it to the keyframes' camera.
             keyframes: none yet; ``sampler`` and ``optimiser`` work on these.
+            submaps: keeps what of the map is in view on the device.
             objects: learns the map's objects; None: it has no identities.
             covisibility: what a pose sees of the map, where keyframes are fitted in a window.
             exposures: the model of the keyframes' exposures; None: pictures are taken as they are.
@@ -111,18 +109,15 @@ class Mapper(Stateful):
         self._keyframes = keyframes
         self._sampler = sampler
         self._optimiser = optimiser
+        self.submaps = submaps
         self.objects = objects
         self.covisibility = covisibility
         self._exposures = exposures
         self._depth_completion = depth_completion
         self._seeder = Seeder(config.seeding, renderer.camera, gaussians, flat=depth_completion is None)
-        self._grid = PixelGrid.of(renderer.camera)
-        # Depth that is an estimate proves nothing.
-        self._moving = MovingPixels(renderer.camera) if depth_completion is None else None
+        self._contradictions = Contradictions(gaussians, keyframes, renderer.camera, submaps)
         self.refused = False
         self._passed_over = PassedOver()
-        self._earlier = EarlierViews(gaussians, keyframes, renderer.camera)
-        self.left_out = {"pictures_left_out": 0, "pixels_left_out": 0, "keyframe_pixels": 0}
 
     @property
     def ready(self) -> bool:
@@ -134,11 +129,17 @@ class Mapper(Stateful):
         """Frames that were ever used for mapping."""
         return [state.index for state in self._keyframes.states if not state.is_earlier]
 
+    @property
+    def left_out(self) -> dict[str, int]:
+        """See :class:`ggwarp.pipeline.mapping.contradictions.Contradictions`."""
+        return self._contradictions.left_out
+
     def rehearse(self, view: Frame, T_wc: Float64, rendered: Rendered) -> None:
         """Fit an earlier map to its own ``view`` from ``T_wc`` [4, 4], too: what is not seen again stays."""
         labels = None if self.objects is None else self.objects.labels_of(rendered)
+        self.submaps.add(T_wc, view.depth)
         self._optimiser.add(upload(view, T_wc, labels, device=self._device))
-        self._earlier.add(view, T_wc)
+        self._contradictions.add_earlier(view, T_wc)
 
     def insert(self, frame: Frame, T_wc: Float64, exposure: Exposure | None = None) -> bool:
         """Make ``frame`` a keyframe and add the Gaussians that it shows and the map lacks.
@@ -161,11 +162,12 @@ class Mapper(Stateful):
         return not self.refused
 
     def _insert(self, frame: Frame, T_wc: Float64, exposure: Exposure | None = None) -> bool:
+        self.submaps.show(T_wc, frame.depth)
         if seen := self.map.count > 0:
             self._renderer.render(T_wc)
         measured, wrong = frame, None  # what is contradicted stays in the picture, but does not count
-        if self._moving is not None:
-            wrong = self._contradicting(frame, T_wc, self._moving)
+        if self._depth_completion is None:  # depth that is an estimate proves nothing
+            wrong = self._contradictions.find(frame, T_wc, self._renderer if seen else None)
             if wrong is None:
                 return False
             frame = without_pixels(frame, wrong)
@@ -190,58 +192,23 @@ class Mapper(Stateful):
             depth = wp.array(frame.depth, dtype=float, device=self._device)
         planes = self._renderer.planes if seen else None
         shown = Seen(frame.index, keyframe.colour, depth, T_wc, exposure, planes)
+        self.submaps.add(T_wc, frame.depth, bounded=self._depth_completion is None)
         self._seeder.seed(shown, len(self._keyframes), seeds, self._identity_rng)
         self._optimiser.add(keyframe)
         if wrong is not None:
-            self._leave_out(len(self._keyframes) - 1, wrong)
-            self.left_out["keyframe_pixels"] += wrong.size
+            self._contradictions.leave_out_of_the_last(wrong)
         self._drop_unconfirmed()
         return True
-
-    def _contradicting(self, frame: Frame, T_wc: Float64, moving: MovingPixels) -> Bools | None:
-        """Return the pixels [h, w] that contradict the rest, and leave out what they disprove; None: all."""
-        assert frame.depth is not None
-        if reason := self._unusable(frame):
-            self.left_out["pictures_left_out"] += 1
-            _log.warning("frame %d is not mapped: %s", frame.index, reason)
-            return None
-        self._earlier.take_out_what_is_gone(frame.depth, T_wc)
-        number = len(self._keyframes)
-        moved = moving.add(number, frame.depth, T_wc)
-        wrong = moved.pop(number, np.zeros(frame.depth.shape, bool))
-        for earlier, pixels in moved.items():
-            self._leave_out(earlier, pixels)
-        return wrong
-
-    def _unusable(self, frame: Frame) -> str:
-        """Say why ``frame``, from where the map was rendered, is not to be mapped; empty: it is."""
-        if self.map.count == 0:
-            return ""
-        thinned, depth = self._grid.thinned, frame.depth
-        few = replace(frame, rgb=thinned(frame.rgb), depth=None if depth is None else thinned(depth))
-        return unusable(few, self._renderer.picture(self._grid.step))
-
-    def _leave_out(self, number: int, pixels: Bools) -> None:
-        """Take ``pixels`` [h, w] out of keyframe ``number``, and the Gaussians that it added there."""
-        if not (new := self._keyframes.leave_out(number, pixels)):
-            return
-        self.left_out["pixels_left_out"] += new
-        means, born = (to_host(self.map.fields[n])[: self.map.count] for n in ("means", "keyframe_ids"))
-        T_cw = se3.inverse(self._keyframes.pose(number))
-        rows, columns, inside = self._renderer.camera.pixels_of(se3.transform_points(T_cw, means))
-        gone = (born == number) & inside & pixels[rows, columns]
-        self.map.keep(wp.array((~gone).astype(np.int32), dtype=int, device=self._device))
 
     def move(self, correction: PoseCorrection) -> None:
         """Let keyframes follow a closed loop, and each Gaussian its keyframe, with Adam's memory of it."""
         motions = correction.at(self._keyframes.indices)
         self._keyframes.move(motions)
-        if self._moving is not None:
-            self._moving.move(lambda number: motions[number])
+        self._contradictions.move(lambda number: motions[number])
         self._passed_over.move(correction)
         if self._depth_completion is not None:
             self._depth_completion.move(correction)
-        self.map.move(motions)
+        self.submaps.move(motions)
 
     def _drop_unconfirmed(self) -> None:
         """Remove the Gaussians that too few keyframes of a full window see."""
@@ -263,13 +230,17 @@ class Mapper(Stateful):
             self._depth_completion.observe(frame, T_wc)
         elif self.ready and not self.refused and frame.index != self._keyframes.states[-1].index:
             self._passed_over.add(frame, T_wc)
+        self.submaps.show(T_wc, frame.depth)
         if skip_objects or self.objects is None or not self.ready:
             return
         if self.objects.vote_is_due(frame, newest=self._keyframes.states[-1].index):
             self._renderer.render(T_wc)
             self.objects.vote(frame, T_wc, self._renderer)
-        number = self.objects.keyframe_to_relabel(len(self._keyframes))
-        if number is not None:
+        hidden = self.submaps.hidden_keyframes()
+        numbers = range(len(self._keyframes)) if hidden is None else np.flatnonzero(~hidden).tolist()
+        turn = self.objects.keyframe_to_relabel(len(numbers))
+        if turn is not None:
+            number = numbers[turn]
             index, T_wc = self._keyframes.states[number].index, self._keyframes.pose(number)
             self._renderer.render(T_wc)
             depth = self._keyframes.depth(number, step=self.objects.grid.step)
@@ -312,14 +283,24 @@ class Mapper(Stateful):
 
     def render(self, T_wc: Float64) -> Rendered:
         """Return the map's view from ``T_wc`` [4, 4], with all that it shows."""
-        self._renderer.render(T_wc)
-        rendered = self._renderer.picture()
+        self.submaps.show_rendered(T_wc, lambda: self._look(T_wc))
+        rendered = self._look(T_wc)
         if self.objects is None:
             return rendered
         rendered = self.objects.add_classes(rendered, self._renderer.image)
         return self.objects.add_objects(rendered, self._renderer.identity())
 
-    def export(self) -> Gaussians:
-        """Return the map on the host, each Gaussian with its object's id as the masks name it."""
-        object_ids = None if self.objects is None else self.objects.object_ids()[0]
-        return replace(self.map.to_host(), object_ids=object_ids)
+    def _look(self, T_wc: Float64) -> Rendered:
+        """Return the picture from ``T_wc`` [4, 4]; what else it shows stays on the device."""
+        self._renderer.render(T_wc)
+        return self._renderer.picture()
+
+    def parts(self) -> Iterator[Gaussians]:
+        """Yield the map on the host part by part, each Gaussian with its object's id as the masks name it."""
+        for part in self.submaps.parts():
+            ids = None if self.objects is None else self.objects.object_ids(part)[0]
+            yield replace(part.to_host(), object_ids=ids)
+
+    def inventory(self, names: dict[int, str]) -> list[ObjectRecord]:
+        """Describe the map's objects; ``names`` are their classes by id, where known."""
+        return [] if self.objects is None else self.objects.inventory(names, self.submaps.parts())

@@ -17,6 +17,7 @@ from ggwarp.kernels.optim.pose_adam import step_pose
 from ggwarp.map.gaussian_map import GaussianMap
 from ggwarp.map.gaussian_optimiser import GaussianOptimiser
 from ggwarp.map.renderer import Renderer
+from ggwarp.map.submaps import Submaps
 from ggwarp.objects.classifier import Classifier, ClassifierConfig
 from ggwarp.pipeline.mapping.densification import DensifyConfig, densify_gaussians, densify_is_due
 from ggwarp.pipeline.mapping.exposure import ExposureModel
@@ -83,6 +84,7 @@ class MapOptimiser(Stateful):
         classifier: Classifier | None,
         keyframes: Keyframes,
         sampler: KeyframeSampler,
+        submaps: Submaps,
         *,
         exposures: ExposureModel | None = None,
         rates: AdamRates = RATES,
@@ -93,6 +95,7 @@ class MapOptimiser(Stateful):
         Args:
             keyframes: what to fit to; :meth:`add` adds to them.
             sampler: which keyframe an iteration is spent on.
+            submaps: tells whether all of the map is on the device.
             exposures: fits the keyframes' exposures; None: they stay.
             rates: Adam's learning rates of the Gaussians.
             recorded: record iterations as graphs and replay them; the default does on CUDA alone: on the CPU
@@ -105,6 +108,7 @@ class MapOptimiser(Stateful):
         self._classifier = classifier
         self._keyframes = keyframes
         self._sampler = sampler
+        self._submaps = submaps
         self._gaussians = GaussianOptimiser(
             gaussians,
             renderer,
@@ -136,6 +140,9 @@ class MapOptimiser(Stateful):
     def iterate(self) -> None:
         """Fit the map to one keyframe once; on CUDA, queue it: the host reads nothing."""
         number = self._sampler.next()
+        if self._submaps.parked:
+            # Views then come submap by submap: many in a row look past what the next ones show.
+            self._map.fields["low_weight_counts"].zero_()
         keyframe = self._keyframes[number]
         with_3d = self._classifier is not None and self._classifier.begin_3d(self.iterations)
         # The first keyframe holds the world in place, and its brightness, or an earlier map does.

@@ -42,7 +42,7 @@ def agreement(mapper: Mapper, frame: Frame, where: np.ndarray | None = None) -> 
     c = OFFICE.camera
     columns = np.rint(points[:, 0] / points[:, 2] * c.fx + c.cx).astype(int)
     rows = np.rint(points[:, 1] / points[:, 2] * c.fy + c.cy).astype(int)
-    right = mapper.export().object_ids == frame.mask[rows, columns]
+    right = next(mapper.parts()).object_ids == frame.mask[rows, columns]
     return float(right.mean() if where is None else right[where[rows, columns]].mean())
 
 
@@ -181,7 +181,7 @@ def test_an_object_revived_under_another_id_stays_one(device: str, frame: Frame)
     revived = renamed(frame.mask, first, 777)
     mapper = mapped(device, frame, 3 * [frame.mask] + 3 * [revived])
     view = mapper.render(frame.T_wc)
-    assert 777 not in view.objects and 777 not in mapper.export().object_ids
+    assert 777 not in view.objects and 777 not in next(mapper.parts()).object_ids
     record = next(r for r in mapper.objects.inventory({}) if r.id == first)
     assert record.source_ids == (first, 777)
 

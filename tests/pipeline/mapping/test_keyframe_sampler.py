@@ -1,16 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 from collections import Counter
+from collections.abc import Iterable
 
 import numpy as np
 
+from ggwarp.geometry.camera import Camera
 from ggwarp.map.covisibility import Visibility
+from ggwarp.map.gaussian_map import GaussianMap
+from ggwarp.map.submaps import Submaps
 from ggwarp.pipeline.mapping.keyframe_sampler import RandomSampler, WindowSampler
 from ggwarp.pipeline.mapping.keyframe_window import WindowConfig
 from ggwarp.types import Float64
 
+WHOLE = Submaps(
+    GaussianMap(device="cpu", has_identity=False, capacity=1), Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
+)
+"""Of a map all of which is in memory."""
+
 
 def test_the_newest_comes_first_and_once(rng: np.random.Generator) -> None:
-    sampler = RandomSampler(rng)
+    sampler = RandomSampler(rng, WHOLE)
     for _ in range(50):
         sampler.add()
     assert sampler.next() == 49
@@ -31,7 +40,7 @@ def sampler_along_a_corridor(rng: np.random.Generator, steps: int) -> WindowSamp
         T[0, 3] = 0.2 * k
         return T
 
-    sampler = WindowSampler(rng, WindowConfig(size=4, cutoff=0.4), look, pose)
+    sampler = WindowSampler(rng, WindowConfig(size=4, cutoff=0.4), look, pose, WHOLE)
     for _ in range(steps):
         sampler.add()
     return sampler
@@ -64,7 +73,7 @@ def test_a_new_keyframe_starts_a_new_round(rng: np.random.Generator) -> None:
 
 
 def test_views_of_an_earlier_map_are_of_the_past(rng: np.random.Generator) -> None:
-    random = RandomSampler(rng)
+    random = RandomSampler(rng, WHOLE)
     for _ in range(4):
         random.add_earlier()
     random.add()
@@ -76,3 +85,47 @@ def test_views_of_an_earlier_map_are_of_the_past(rng: np.random.Generator) -> No
     assert window.window == [4]
     drawn = [window.next() for _ in range(3)]
     assert 4 in drawn and len({*drawn} & {0, 1, 2, 3}) == 2
+
+
+class Halves(Submaps):
+    """Keyframes 0 to 4 and 5 to 9 see one half of a map each, of which one is in memory."""
+
+    def __init__(self) -> None:
+        super().__init__(WHOLE._map, Camera(64, 48, 60.0, 60.0, 31.5, 23.5))
+        self.there, self.visits = 1, 0
+
+    def of_keyframe(self, keyframe: int) -> int:
+        return keyframe // 5
+
+    def keyframes_of(self, number: int) -> np.ndarray:
+        return np.arange(40)  # so many are put off
+
+    def hidden_keyframes(self) -> np.ndarray:
+        return np.arange(10) // 5 != self.there
+
+    def visit(self, keyframes: Iterable[int]) -> None:
+        halves = {self.of_keyframe(k) for k in keyframes}
+        self.visits += len(halves)
+        self.there = halves.pop() if halves else 1  # where the camera is
+
+
+def test_what_is_out_of_memory_has_its_iterations_later(rng: np.random.Generator) -> None:
+    halves = Halves()
+    sampler = RandomSampler(rng, halves)
+    for _ in range(10):
+        sampler.add()
+    drawn = Counter[int]()
+    for _ in range(5000):
+        number = sampler.next()
+        assert not halves.hidden_keyframes()[number], "what it sees is there"
+        drawn[number] += 1
+    assert halves.visits <= 5000 // 40, "not for every draw"
+    counts = np.array([drawn[k] for k in range(10)])
+    assert (np.abs(counts - 500) < 80).all(), "each as often as any other"
+
+
+def test_a_window_leaves_out_what_is_out_of_memory(rng: np.random.Generator) -> None:
+    sampler = sampler_along_a_corridor(rng, 10)
+    sampler._submaps = Halves()
+    drawn = {sampler.next() for _ in range(60)}
+    assert 9 in drawn and min(drawn) == 5

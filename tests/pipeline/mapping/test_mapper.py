@@ -68,7 +68,7 @@ def test_rendered_objects_are_the_masks_own_ids(device: str, frame: Frame) -> No
     view = mapper.render(frame.T_wc)
     assert view.objects is not None and renamed.mask is not None
     assert (view.objects == renamed.mask).mean() > 0.85
-    assert set(np.unique(mapper.export().object_ids)) <= {0, *np.unique(renamed.mask)}
+    assert set(np.unique(next(mapper.parts()).object_ids)) <= {0, *np.unique(renamed.mask)}
 
 
 def test_a_keyframe_seen_twice_adds_little(device: str, frame: Frame) -> None:
