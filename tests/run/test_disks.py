@@ -90,19 +90,19 @@ def test_no_folder_has_room_for_the_map(scene, fake, disks, capsys):
 
 def test_each_folder_keeps_what_no_other_has(scene, fake, disks, monkeypatch, capsys):
     """The first has room for the trajectory, another for the map."""
-    writers = {name: getattr(run_folder, name) for name in ("write_ply", "write_trajectory")}
+    writers = {name: getattr(run_folder, name) for name in ("write_ply_parts", "write_trajectory")}
 
-    def write_ply(path, gaussians):
+    def write_ply_parts(path, parts):
         if "temporary" not in str(path):
             raise OSError(errno.ENOSPC, FULL, str(path))
-        writers["write_ply"](path, gaussians)
+        return writers["write_ply_parts"](path, parts)
 
     def write_trajectory(folder, reports):
         if "temporary" in str(folder):
             raise OSError(errno.ENOSPC, FULL, str(folder / "trajectory.txt"))
         writers["write_trajectory"](folder, reports)
 
-    monkeypatch.setattr(run_folder, "write_ply", write_ply)
+    monkeypatch.setattr(run_folder, "write_ply_parts", write_ply_parts)
     monkeypatch.setattr(run_folder, "write_trajectory", write_trajectory)
     assert run.main(COMMAND) == 1
     [other] = in_temporary_folder()

@@ -64,7 +64,7 @@ def test_a_signal_saves_what_there_is(scene, fake, monkeypatch, capsys, moment, 
         return lambda *arguments: (ask(), original(*arguments))[1]
 
     if moment == "saving":
-        monkeypatch.setattr(run_folder, "write_ply", asking(run_folder.write_ply))
+        monkeypatch.setattr(run_folder, "write_ply_parts", asking(run_folder.write_ply_parts))
     else:
         name = {"mapping": "on_map", "refining": "on_refine", "evaluating": "render"}[moment]
         wrapped = asking(getattr(fake, name))
