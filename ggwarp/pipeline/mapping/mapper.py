@@ -191,7 +191,7 @@ class Mapper(Stateful):
         if frame.depth is not measured.depth:
             depth = wp.array(frame.depth, dtype=float, device=self._device)
         planes = self._renderer.planes if seen else None
-        shown = Seen(frame.index, keyframe.colour, depth, T_wc, exposure, planes)
+        shown = Seen(frame.index, keyframe.colour, depth, T_wc, keyframe.exposure, planes)
         self.submaps.add(T_wc, frame.depth, bounded=self._depth_completion is None)
         self._seeder.seed(shown, len(self._keyframes), seeds, self._identity_rng)
         self._optimiser.add(keyframe)

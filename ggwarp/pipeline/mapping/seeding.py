@@ -19,7 +19,7 @@ import warp as wp
 
 from ggwarp.geometry.camera import Camera
 from ggwarp.kernels.camera import intrinsics_of
-from ggwarp.kernels.math import vec6, vec16
+from ggwarp.kernels.math import vec16
 from ggwarp.kernels.seeding.density import DensityRules, allocate_seeding, density_of_seeds
 from ggwarp.kernels.seeding.seeds import (
     SeedRules,
@@ -34,7 +34,7 @@ from ggwarp.map.renderer import Planes
 from ggwarp.map.surface_density import surface_density
 from ggwarp.objects.classifier import IdentitySeeds, random_identities
 from ggwarp.runtime.streams import to_host
-from ggwarp.types import Exposure, Float64
+from ggwarp.types import Float64
 
 _DETAIL_GAIN = 6.0
 """Density added per unit of local colour contrast (0..1)."""
@@ -78,7 +78,7 @@ class Seen:
         pixels: [h, w, 3] uint8, the picture.
         depth: [h, w] float, metres, 0 = none.
         T_wc: [4, 4] pose.
-        exposure: of the picture.
+        exposure: [1] vec6, of the picture, see :mod:`ggwarp.kernels.photometric.affine_exposure`.
         rendered: the map's view from there; None while the map is empty.
     """
 
@@ -86,7 +86,7 @@ class Seen:
     pixels: Any
     depth: Any
     T_wc: Float64
-    exposure: Exposure
+    exposure: Any
     rendered: Planes | None
 
 
@@ -139,7 +139,7 @@ class Seeder:
         density_of_seeds(
             self._density_rules,
             pixels=seen.pixels,
-            exposure=self._exposure(seen),
+            exposure=seen.exposure,
             depth=seen.depth,
             image=None if rendered is None else rendered.image,
             median_depth=None if rendered is None else rendered.median_depth,
@@ -172,7 +172,7 @@ class Seeder:
             self._seed_rules,
             begin=begin,
             pixels=seen.pixels,
-            exposure=self._exposure(seen),
+            exposure=seen.exposure,
             depth=seen.depth,
             smooth=smooth,
             camera=self._intrinsics,
@@ -209,8 +209,3 @@ class Seeder:
         if seen.rendered is None:
             return None
         return surface_density(self._map, seen.T_wc, self._camera, seen.depth, tolerance=DEPTH_TOLERANCE)
-
-    def _exposure(self, seen: Seen) -> Any:
-        row: Any = vec6
-        values = [[*seen.exposure.log_gain, *seen.exposure.offset]]
-        return wp.array(values, dtype=row, device=self._device)

@@ -10,6 +10,7 @@ import warp as wp
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from ggwarp.kernels.camera import intrinsics_of
+from ggwarp.kernels.math import vec6
 from ggwarp.kernels.seeding import seeds
 from ggwarp.map.gaussian_map import GaussianMap
 from ggwarp.map.gaussians import SH_C0, Gaussians
@@ -64,7 +65,9 @@ class Seeding:
         pose = np.eye(4) if T_wc is None else T_wc
         pixels = wp.array(frame.rgb, dtype=wp.uint8, device=self.device)
         depth = self.uploaded(frame.depth)
-        return Seen(frame.index, pixels, depth, pose, exposure or Exposure(), planes)
+        values = Exposure() if exposure is None else exposure
+        row = wp.array([[*values.log_gain, *values.offset]], dtype=vec6, device=self.device)
+        return Seen(frame.index, pixels, depth, pose, row, planes)
 
     def uploaded(self, values: np.ndarray) -> wp.array:
         return wp.array(np.ascontiguousarray(values), dtype=float, device=self.device)
