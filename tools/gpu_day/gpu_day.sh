@@ -10,11 +10,13 @@
 #                               after any change of a kernel. Makes two git-ignored folders of what must travel:
 #                                 .gpu/warp/    warp.tar.xz, 59.3 MiB: Warp without its CPU compiler (pack_warp.sh)
 #                                 .gpu/extras/  extras.tar.xz, 2.4 MiB: cubins for sm_90 (ours and gswarp's: no kernel is compiled
-#                                               there), tyro typeguard docstring_parser, gswarp, gsplat's trimmed sources,
-#                                               results of the CPU to compare with
+#                                               there), tyro typeguard docstring_parser simplejpeg, gswarp, gsplat's trimmed
+#                                               sources, results of the CPU to compare with
+#                                 .gpu/gtsam/   gtsam.tar.xz: for loops and one camera's map
 #                               It says how large the tree is with them: where no more than 64 MiB travel at once, Warp goes first.
+#                               Recordings in .gpu/data/, each a folder that --seq reads, are run by bench where they travel, too.
 #   gpu_day.sh unpack           on the GPU machine, where Warp goes first: 10 seconds
-#   gpu_day.sh checks           on the GPU machine: are the results right?   2-4 minutes
+#   gpu_day.sh checks           on the GPU machine: are the results right?   1-3 minutes, side by side on its cores
 #   gpu_day.sh bench            on the GPU machine: how fast?                2-3 minutes
 #   gpu_day.sh deep             on the GPU machine: compute-sanitizer, ncu   2-3 minutes
 #
@@ -37,8 +39,17 @@ if [ "$what" = prepare ]; then
     work=$(mktemp -d); trap 'rm -rf "$work"' EXIT
     # Binaries: only what loading looks at.
     WARP_CACHE_PATH=$work/all PYTHONPATH=$root "$python" -m ggwarp.commands.precompile --arch 90 --out "$work/all"
-    mkdir -p "$work/x/site" "$work/w"
+    mkdir -p "$work/x/site" "$work/w" "$work/g"
     "$python" -m pip download -q --no-deps -d "$work/w" tyro typeguard docstring-parser gswarp==1.1.0 gsplat==1.5.3
+    there=(--no-deps --only-binary=:all: --python-version 3.12 --implementation cp --platform manylinux_2_28_x86_64)
+    "$python" -m pip download -q "${there[@]}" -d "$work/w" simplejpeg
+    if [ ! -s .gpu/gtsam/gtsam.tar.xz ]; then
+        mkdir -p .gpu/gtsam
+        "$python" -m pip download -q "${there[@]}" -d "$work/g" gtsam
+        "$python" -m zipfile -e "$work"/g/gtsam-*.whl "$work/g/site"
+        rm -rf "$work"/g/site/gtsam_unstable "$work"/g/site/gtsam/{tests,examples,notebooks,Data}
+        tar -C "$work/g/site" -cf - . | xz -9e -T1 > .gpu/gtsam/gtsam.tar.xz
+    fi
     for wheel in "$work"/w/*.whl; do "$python" -m zipfile -e "$wheel" "$work/x/site"; done
     # gsplat: three channel counts instead of nineteen (20 channels are padded to 32), or it compiles for minutes.
     for f in "$work"/x/site/gsplat/cuda/csrc/*.cu "$work"/x/site/gsplat/cuda/csrc/*.cpp; do
@@ -60,7 +71,7 @@ PY
     done
     PYTHONPATH="$root:$root/tools" "$python" -m gpu_day.check save "$work/x/reference.npz" --device cpu
     tar --sort=name --mtime=@0 --owner=0 --group=0 -C "$work/x" -cf - . | xz -9e -T1 > .gpu/extras/extras.tar.xz
-    ls -l .gpu/warp .gpu/extras
+    ls -l .gpu/warp .gpu/extras .gpu/gtsam
     size() { du -cb "$@" | tail -1 | cut -f1; }
     tree=$(git ls-files -z --cached --others --exclude-standard | xargs -0 du -cb | tail -1 | cut -f1)
     all=$((tree + $(size .gpu/warp) + $(size .gpu/extras))) warp=$((tree + $(size .gpu/warp)))
@@ -87,6 +98,29 @@ step() { # NAME SECONDS COMMAND
     echo "${table[-1]}"
     return 0
 }
+side() { # NAME SECONDS COMMAND, beside what else runs
+    local name=$1 limit=$2
+    shift 2
+    (
+        began=$SECONDS
+        timeout -k 5 "$limit" bash -c "$*" > "$base/$name.side" 2>&1 < /dev/null; rc=$?
+        verdict=ok; [ $rc -eq 0 ] || verdict="rc $rc"; [ $rc -eq 124 ] && verdict="TIMED OUT"
+        printf '%-22s %-10s %3d s\n' "$name" "$verdict" $((SECONDS - began)) > "$base/$name.verdict"
+    ) &
+    sides+=("$name")
+    waited+=($!)
+}
+join() { # waits for what runs beside
+    wait "${waited[@]}"
+    local name
+    for name in "${sides[@]}"; do
+        { echo "===== $name"; cat "$base/$name.side"; } >> "$log"
+        table+=("$(cat "$base/$name.verdict")")
+        echo "${table[-1]}"
+    done
+    sides=() waited=()
+}
+sides=() waited=()
 mkdir -p "$base"
 if [ ! -d "$base/site" ]; then
     [ -s .gpu/warp/warp.tar.xz ] || { echo "no .gpu/warp/warp.tar.xz here: carry .gpu/warp"; exit 1; }
@@ -98,6 +132,7 @@ if ! cmp -s .gpu/extras/extras.tar.xz "$base/extras.tar.xz"; then
     rm -rf "$base/x" && mkdir "$base/x" && tar -xJf .gpu/extras/extras.tar.xz -C "$base/x" && cp -r "$base"/x/site/* "$base/site/"
     cp .gpu/extras/extras.tar.xz "$base/extras.tar.xz"
 fi
+if [ -s .gpu/gtsam/gtsam.tar.xz ] && [ ! -d "$base/site/gtsam" ]; then tar -xJf .gpu/gtsam/gtsam.tar.xz -C "$base/site"; fi
 export PYTHONPATH="$root:$root/tools:$base/site" WARP_CACHE_PATH="$base/x/cache" PYTHONUNBUFFERED=1
 export PYTHONFAULTHANDLER=1 TORCH_EXTENSIONS_DIR=$base/ext GGWARP_TEST_DATA=/nowhere
 check="python3 -m gpu_day.check" reference=$base/x/reference.npz
@@ -122,21 +157,33 @@ modules = loading.kernel_modules('cuda:0')
 print('not precompiled:', [m.name for m in loading.uncompiled(modules, 'cuda:0')])
 loading.load(modules, 'cuda:0')
 PY"
-    step compare 75 "$check compare $reference"
-    step repeatable 30 "$check repeatable"
-    step graphs-streams 40 "$pytest tests/runtime/test_graphs.py tests/runtime/test_streams.py tests/solvers/test_registration.py -k 'cuda:0'"
-    step two-threads 40 "$check two-threads"
-    step kernel-tests 100 "$pytest -n 6 tests/kernels tests/map tests/ops -k 'cuda:0'"
-    step system-tests 60 "$pytest -n 6 tests/pipeline tests/objects -k 'cuda:0'"
+    step sequence 45 "python3 -m gpu_day.office_sequence 24 0.25 $base/small"
+    small="python3 -m ggwarp.run --seq $base/small --device cuda:0 --save-renders 0"
+    side compare 150 "$check compare $reference"
+    side repeatable 60 "$check repeatable"
+    side two-threads 60 "$check two-threads"
+    side graphs-streams 100 "$pytest tests/runtime/test_graphs.py tests/runtime/test_streams.py tests/solvers/test_registration.py -k 'cuda:0'"
+    side kernel-tests 150 "$pytest -n 4 tests/kernels tests/map tests/ops -k 'cuda:0'"
+    side system-tests 150 "$pytest -n 4 tests/pipeline tests/objects tests/evaluation tests/editing -k 'cuda:0'"
+    side small-run 100 "$small --out /tmp/small1"
+    side small-in-turn 100 "$small --pipelined off --out /tmp/small2"
+    side small-monogs 100 "$small --preset monogs --out /tmp/small3"
+    side small-mono 100 "$small --mono --out /tmp/small4"
+    join
     ;;
 bench)
     b="python3 tools/benchmark.py"
     step kernels 75 "$b kernels --device cuda:0 --size 1200x680 --gaussians 300000 --rounds 12 --no-compile --out $OUT/kernels.json"
     step gswarp 40 "python3 -m gpu_day.gswarp_peer 1200x680 300000"
     step sequence 45 "python3 -m gpu_day.office_sequence 60 1.0 /tmp/office"
-    step run 90 "python3 -m ggwarp.run --seq /tmp/office --device cuda:0 --out /tmp/run1 --save-renders 0 && cp /tmp/run1/metrics.json $OUT/metrics.json && head -40 /tmp/run1/frames.csv"
-    step run-profiled 60 "python3 -m cProfile -s tottime -m ggwarp.run --seq /tmp/office --frames 0:12 --device cuda:0 --out /tmp/run2 --save-renders 0 | head -60"
-    step run-uncapped 60 "python3 -m ggwarp.run --seq /tmp/office --device cuda:0 --fps uncapped --out /tmp/run3 --save-renders 0 && cp /tmp/run3/metrics.json $OUT/uncapped.json"
+    run="python3 -m ggwarp.run --device cuda:0 --save-renders 0"
+    step run 90 "$run --seq /tmp/office --out /tmp/run1 && cp /tmp/run1/metrics.json $OUT/metrics.json && head -40 /tmp/run1/frames.csv"
+    step run-fast 45 "$run --seq /tmp/office --preset fast --out /tmp/run4"
+    step run-uncapped 60 "$run --seq /tmp/office --fps uncapped --out /tmp/run3"
+    for recording in .gpu/data/*/; do
+        [ -d "$recording" ] && step "run-$(basename "$recording")" 60 "$run --seq $recording --out /tmp/recorded"
+    done
+    step run-profiled 60 "python3 -m cProfile -s tottime -m ggwarp.run --seq /tmp/office --frames 0:24 --pipelined off --device cuda:0 --out /tmp/run2 --save-renders 0 | grep -v '^ *│' | head -90"
     step tracking 45 "$b tracking --device cuda:0 --seq /tmp/office --quick --out $OUT/tracking.json"
     step gsplat 75 "for i in \$(seq 60); do ls $base/ext/*/gsplat_cuda.so >/dev/null 2>&1 && break; sleep 1; done; tail -3 $base/gsplat.log; $b kernels --device cuda:0 --size 1200x680 --gaussians 300000 --quick --no-compile --out $OUT/gsplat.json"
     ;;
