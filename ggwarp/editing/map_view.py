@@ -6,6 +6,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -62,7 +63,8 @@ class MapView:
 
     def window_of(self, T_wc: Float64, selected: Bools) -> Window | None:
         """Return the tiles of the view that the ``selected`` [n] may reach into; None: none."""
-        return window_round(footprints(self.gaussians.take(selected), self.camera, T_wc), self.camera)
+        own = replace(self.gaussians, identities=None).take(selected)  # they are most of the bytes
+        return window_round(footprints(own, self.camera, T_wc), self.camera)
 
     def weights(self, T_wc: Float64, *pixels: Bools, window: Window | None = None) -> Float32:
         """Return [k, n] how many pixels' worth of picture each Gaussian makes up, in each of ``pixels``.

@@ -28,6 +28,7 @@ from ggwarp.types import Float32
 _WIDE = 130  # columns where there is no terminal to ask
 _DIMMED = 0.35  # brightness of what is not meant
 _COMPARED = 24  # poses looked from for a difference
+_SEARCHED = 0.5  # of the images' size, at which the difference is looked for
 _NO_CHANGE = 1e-4  # of brightness, mean over a picture
 _SHOWN_WIDTH, _GAP = 640, 8  # pixels
 _MARGIN = 16  # pixels round a crop
@@ -121,7 +122,8 @@ def before_and_after(before: SavedRun, after: SavedRun, *, device: Any = "cpu") 
 
     None: no view shows a difference.
     """
-    views = [MapView(run.gaussians, run.camera, device=device) for run in (before, after)]
+    small = before.camera.scaled(_SEARCHED)
+    views = [MapView(run.gaussians, small, device=device) for run in (before, after)]
     rows = np.unique(np.linspace(0, len(before.poses) - 1, _COMPARED).astype(int)).tolist()
     changes = []
     for row in rows:

@@ -10,6 +10,7 @@ in place of the object and all else as it was.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -113,7 +114,8 @@ def fill_removed(
     surfaces = [
         paint(h, object_views, camera, inpaint, margin=config.margin, tolerance=on_plane) for h in holes
     ]
-    filled = join(kept, *(_laid_out(kept, surface, config) for surface in surfaces))
+    nearest = _nearest(kept)
+    filled = join(kept, *(_laid_out(nearest, surface, config) for surface in surfaces))
     filled = _fill_rest(filled, object_views, camera, inpaint, config, device)
     free = _over(holes, filled, config)
     free[len(kept) :] = True
@@ -132,14 +134,22 @@ def _over(holes: list[PlaneHole], gaussians: Gaussians, config: FillConfig) -> B
     return over
 
 
-def _laid_out(kept: Gaussians, surface: Surface, config: FillConfig) -> Gaussians:
+def _nearest(gaussians: Gaussians) -> Callable[[Float64], Gaussians]:
+    """Return what finds the nearest of ``gaussians`` to points [n, 3]."""
+    from scipy.spatial import KDTree  # heavy, and only needed where there is something to fill
+
+    tree: Any = KDTree(gaussians.means)
+    return lambda points: gaussians.take(np.asarray(tree.query(points)[1], np.intp))
+
+
+def _laid_out(nearest: Callable[[Float64], Gaussians], surface: Surface, config: FillConfig) -> Gaussians:
     """Return Gaussians that carry the hole's part of ``surface``, one a cell and a cell beyond its rim."""
     hole = surface.hole
     place = cv2.dilate(hole.needed.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
     points = hole.centres(place)
     quats = np.tile(se3.quat_from_matrix(hole.plane.axes), (len(points), 1))
     spreads = np.full(len(points), config.spread * hole.cell)
-    return _new_gaussians(kept, points, quats, spreads, surface.colours(points), config)
+    return _new_gaussians(nearest(points), points, quats, spreads, surface.colours(points), config)
 
 
 def _fill_rest(
@@ -158,41 +168,38 @@ def _fill_rest(
             continue
         unknown = cv2.dilate(hole.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
         depth = inpaint_depth(seen.surface_depth, unknown | (seen.opacity < _HOLE))
-        picture = inpaint(np.rint(255.0 * seen.rgb).astype(np.uint8), unknown)
+        picture = inpaint(np.rint(255.0 * seen.rgb).astype(np.uint8), unknown, unknown)
         rows, columns = np.nonzero(hole & (depth > 0.0))
         z = depth[rows, columns]
         points = object_view.T_wc[:3, 3] + world_rays(camera, object_view.T_wc, rows, columns) * z[:, None]
         quats = np.tile(se3.quat_from_matrix(object_view.T_wc[:3, :3]), (len(points), 1))
         spreads = config.spread * z / camera.fx
-        new = _new_gaussians(filled, points, quats, spreads, picture[rows, columns], config)
+        near = _nearest(filled)(points)
+        new = _new_gaussians(near, points, quats, spreads, picture[rows, columns], config)
         filled = join(filled, new)
     return filled
 
 
 def _new_gaussians(
-    near: Gaussians,
+    kin: Gaussians,
     points: Float64,
     quats: Float64,
     spreads: NDArray[np.floating],
     colours: NDArray[Any],
     config: FillConfig,
 ) -> Gaussians:
-    """Return flat Gaussians at ``points`` [n, 3] that belong to what the nearest of ``near`` belong to.
+    """Return flat Gaussians at ``points`` [n, 3] that belong to what ``kin`` [n] belong to.
 
     Args:
         quats: [n, 4] their axes, the normal last. spreads: [n] metres. colours: [n, 3] in 0..255.
     """
-    from scipy.spatial import KDTree
-
-    n = len(points)
-    kin = np.asarray(KDTree(near.means).query(points)[1] if n else [], np.intp)
     scales = np.stack([spreads, spreads, config.flatness * spreads], axis=1)
     return replace(
-        near.take(kin),
+        kin,
         means=points.astype(np.float32),
         quats=quats.astype(np.float32),
         log_scales=np.log(scales).astype(np.float32),
-        opacity_logits=np.full(n, np.log(config.opacity / (1.0 - config.opacity)), np.float32),
+        opacity_logits=np.full(len(points), np.log(config.opacity / (1.0 - config.opacity)), np.float32),
         colours=((colours / 255.0 - 0.5) / SH_C0).astype(np.float32),
     )
 

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pictures made whole: what the filling of holes takes its colours from.
 
-An inpainter is a function of a picture [h, w, 3] uint8 (RGB) and a mask [h, w] bool, True where the
-picture is not known, that returns the picture with those pixels made up. Any other can be given instead.
+An inpainter is a function of a picture [h, w, 3] uint8 (RGB), of a mask [h, w] bool, True where the picture is
+not known, and of those pixels of the mask [h, w] bool that are wanted. It returns the picture with these made
+up; what it does about the rest of the mask does not matter. Any other can be given instead.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from ggwarp.types import Float32, Float64
 
 Bools = NDArray[np.bool_]
 Picture = NDArray[np.uint8]
-Inpaint = Callable[[Picture, Bools], Picture]
+Inpaint = Callable[[Picture, Bools, Bools], Picture]
 
 SLOPE = 15.0
 """Pixels over which the slope of a known part's brightness dies out."""
@@ -33,72 +34,86 @@ _LEAST_OVERLAP = 0.3  # of the known pixels, by which that is judged
 _LEAST_SHIFT = 8.0  # pixels
 _DAMPING = 0.02  # of slopes
 _SHIFTS = 200  # tried, the likest first
+_CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.uint8)  # a pixel and its neighbours
 
 
-def inpaint_opencv(rgb: Picture, mask: Bools) -> Picture:
-    """Return ``rgb`` with the masked pixels filled by OpenCV's fast marching (Telea, 2004)."""
+def inpaint_opencv(rgb: Picture, mask: Bools, wanted: Bools) -> Picture:
+    """Return ``rgb`` with all masked pixels filled by OpenCV's fast marching (Telea, 2004)."""
     filled = cv2.inpaint(np.ascontiguousarray(rgb), mask.astype(np.uint8), _REACH, cv2.INPAINT_TELEA)
     return np.asarray(filled, np.uint8)
 
 
-def inpaint_shade(rgb: Picture, mask: Bools) -> Picture:
-    """Return ``rgb`` with the masked pixels filled so that light, shade and texture go on.
+def inpaint_shade(rgb: Picture, mask: Bools, wanted: Bools) -> Picture:
+    """Return ``rgb`` with the masked pixels near the ``wanted`` filled so that light, shade and texture go on.
 
     Texture comes from where the picture, shifted, is most like itself (:func:`continued_texture`). What is
     left is continued smoothly (:func:`continued`): it stays dark behind the object that casts a shadow.
     """
-    if mask.all() or not mask.any():
+    if mask.all() or not wanted.any():
         return rgb
     colour = rgb.astype(np.float64)
     texture = continued_texture(colour - smoothed(colour, ~mask, _SHADE), mask)
     rest = np.clip(smoothed(colour - texture, ~mask, _LOW), 0.0, 255.0)
     # Shade scales all colours alike: brightness alone has a slope that goes on, and only into the dark.
     brightness = rest.mean(axis=2, keepdims=True) + _BLACK
-    flat = continued(np.concatenate([brightness, rest / brightness], axis=2), mask, slope=_FLAT)
-    light = np.minimum(continued(brightness, mask, slope=SLOPE), flat[..., :1])
+    open_ = _within_a_slope(mask, wanted)
+    flat = continued(np.concatenate([brightness, rest / brightness], axis=2), ~mask, open_, slope=_FLAT)
+    light = np.minimum(continued(brightness, ~mask, open_, slope=SLOPE), flat[..., :1])
     tint = flat[..., 1:]
     filled = np.clip(light * tint + texture, 0.0, 255.0)
-    return np.where(mask[..., None], np.rint(filled), colour).astype(np.uint8)
+    return np.where(open_[..., None], np.rint(filled), colour).astype(np.uint8)
 
 
-def continued(picture: Float64, mask: Bools, *, slope: float) -> Float64:
-    """Return ``picture`` [h, w, c] with the masked pixels replaced by a spline under tension.
+def _within_a_slope(mask: Bools, wanted: Bools) -> Bools:
+    """Return which pixels of ``mask`` lie as near to the ``wanted`` as a slope goes on.
 
-    Value and slope go on across the outline; over ``slope`` pixels the slope dies out, so that a wide hole
-    is no darker in the middle than what is around. The sum of laplacian^2 + (gradient / slope)^2 is least.
+    It is all of the mask where less would leave some without a known pixel beside them.
+    """
+    away = cv2.distanceTransform((~wanted).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    near = mask & (away <= SLOPE)
+    count, parts = cv2.connectedComponents(near.astype(np.uint8), connectivity=4)
+    beside = near & cv2.dilate((~mask).astype(np.uint8), _CROSS).astype(bool)
+    return near if len(np.unique(parts[beside])) == count - 1 else mask
+
+
+def continued(picture: Float64, known: Bools, open_: Bools, *, slope: float) -> Float64:
+    """Return ``picture`` [h, w, c] with the pixels of ``open_`` replaced by a spline under tension.
+
+    Value and slope go on across the outline of the ``known``; over ``slope`` pixels the slope dies out, so
+    that a wide hole is no darker in the middle than what is around. The sum of laplacian^2 +
+    (gradient / slope)^2 is least, over pixels that are known or open. Each part of ``open_`` touches a known one.
     """
     from scipy.sparse import csr_matrix, diags, vstack  # heavy, and seldom needed
     from scipy.sparse.linalg import splu
 
-    height, width = mask.shape
-    place = np.arange(mask.size).reshape(height, width)
+    height, width = known.shape
+    place = np.arange(known.size).reshape(height, width)
     pairs = np.concatenate(
         [
             np.stack([place[:, :-1].ravel(), place[:, 1:].ravel()], axis=1),
             np.stack([place[:-1].ravel(), place[1:].ravel()], axis=1),
         ]
     )
-    near = cv2.dilate(mask.astype(np.uint8), np.ones((5, 5), np.uint8)).astype(bool).ravel()
+    around = cv2.dilate(open_.astype(np.uint8), np.ones((5, 5), np.uint8)).astype(bool) & known
+    near = (open_ | around).ravel()
     pairs = pairs[near[pairs].all(axis=1)]
     count = len(pairs)
     rows = np.tile(np.arange(count), 2)
     signs = np.repeat([1.0, -1.0], count)
-    gradient: Any = csr_matrix((signs, (rows, pairs.T.ravel())), shape=(count, mask.size))
+    gradient: Any = csr_matrix((signs, (rows, pairs.T.ravel())), shape=(count, near.size))
     # A pixel's laplacian counts where it, or a neighbour of it, is unknown.
-    beside = cv2.dilate(mask.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))).ravel()
+    beside = cv2.dilate(open_.astype(np.uint8), _CROSS).ravel()
     laplacian: Any = diags(beside.astype(np.float64)) @ (gradient.T @ gradient)
     energy: Any = vstack([laplacian, gradient / slope]).tocsc()
-    unknown = np.nonzero(mask.ravel())[0]
-    known = np.nonzero(~mask.ravel() & near)[0]
-    flat = picture.reshape(mask.size, -1).copy()
-    free, held = energy[:, unknown], energy[:, known]
+    flat = picture.reshape(near.size, -1).copy()
+    free, held = energy[:, open_.ravel()], energy[:, around.ravel()]
     # Symmetric and positive: ordered and factorised as such, it takes a fifth of the time.
     symmetric = {"SymmetricMode": True}
     normal = (free.T @ free).tocsc()
     solver = splu(normal, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
-    found = solver.solve(np.ascontiguousarray(-(free.T @ (held @ flat[known]))))
-    around = flat[~mask.ravel()]
-    flat[unknown] = np.clip(found, around.min(axis=0), around.max(axis=0))
+    found = solver.solve(np.ascontiguousarray(-(free.T @ (held @ flat[around.ravel()]))))
+    seen = flat[known.ravel()]
+    flat[open_.ravel()] = np.clip(found, seen.min(axis=0), seen.max(axis=0))
     return flat.reshape(picture.shape)
 
 

@@ -78,7 +78,7 @@ def paint(
     picture = np.rint(255.0 * np.clip(rgb, 0.0, 1.0)).astype(np.uint8).reshape(rows, columns, 3)
     # What lies farther off than a slope goes on matters to none of the needed cells, and costs much.
     part = crop_to(needed, margin=_CONTEXT)
-    picture[part] = inpaint(np.ascontiguousarray(picture[part]), np.ascontiguousarray(unknown[part]))
+    picture[part] = inpaint(*(np.ascontiguousarray(image[part]) for image in (picture, unknown, needed)))
     return Surface(hole, picture, margin)
 
 

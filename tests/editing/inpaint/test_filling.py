@@ -160,8 +160,9 @@ def test_a_plane_is_painted_as_it_was_seen(whole, device):
 
 
 def test_any_inpainter_can_be_given(whole):
-    def green(rgb, mask):
+    def green(rgb, mask, wanted):
         assert rgb.dtype == np.uint8 and mask.dtype == bool and mask.any() and not mask.all()
+        assert wanted.any() and not (wanted & ~mask).any()
         return np.where(mask[..., None], np.array([0, 255, 0], np.uint8), rgb)
 
     filled, added = fill_removed(whole, whole.object_ids == 5, CAMERA, POSES, inpaint=green)

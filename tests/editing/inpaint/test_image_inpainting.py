@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 
 from ggwarp.editing.inpaint.image_inpainting import (
+    SLOPE,
     continued,
     inpaint_depth,
     inpaint_opencv,
@@ -27,7 +28,7 @@ def test_only_the_hole_is_made_up(inpaint):
     picture, mask = _ramp(), _mask()
     ruined = picture.copy()
     ruined[mask] = 255
-    filled = inpaint(ruined, mask)
+    filled = inpaint(ruined, mask, mask)
     np.testing.assert_array_equal(filled[~mask], picture[~mask])
     assert filled.dtype == np.uint8
     assert np.abs(filled[mask].astype(int) - picture[mask]).mean() < 12
@@ -38,7 +39,30 @@ def test_shade_goes_on():
     picture, mask = _ramp(), _mask()
     ruined = picture.copy()
     ruined[mask] = 0
-    assert np.abs(inpaint_shade(ruined, mask)[mask].astype(int) - picture[mask]).max() <= 6
+    assert np.abs(inpaint_shade(ruined, mask, mask)[mask].astype(int) - picture[mask]).max() <= 6
+
+
+def test_what_is_not_wanted_does_not_matter():
+    """Of a wide unknown part only the surroundings of what is wanted are solved for, with the same result."""
+    v, u = np.mgrid[:60, :160]
+    picture = np.stack([90 + 0.3 * u, 60 + 0.5 * v, 120 + 0.2 * (u - v)], axis=-1).astype(np.uint8)
+    mask = (np.abs(v - 30) < 8) & (u > 20)
+    wanted = mask & (np.abs(u - 45) < 5)
+    ruined = np.where(mask[..., None], np.uint8(0), picture)
+    whole, part = inpaint_shade(ruined, mask, mask), inpaint_shade(ruined, mask, wanted)
+    assert np.abs(part[wanted].astype(int) - whole[wanted]).max() <= 1
+    far = mask & (u > 45 + 5 + SLOPE)
+    np.testing.assert_array_equal(part[far], ruined[far])
+
+
+def test_something_wanted_far_from_all_that_is_known():
+    picture = np.full((90, 90, 3), 77, np.uint8)
+    mask = np.zeros((90, 90), bool)
+    mask[1:-1, 1:-1] = True
+    wanted = np.zeros_like(mask)
+    wanted[43:47, 43:47] = True
+    filled = inpaint_shade(np.where(mask[..., None], np.uint8(0), picture), mask, wanted)
+    np.testing.assert_array_equal(filled[wanted], picture[wanted])
 
 
 def test_bricks_go_on():
@@ -49,7 +73,7 @@ def test_bricks_go_on():
     mask[30:60, 40:80] = True
     ruined = np.where(mask[..., None], np.uint8(0), picture)
     errors = [
-        np.abs(f(ruined, mask)[mask] - picture[mask].astype(int)).mean()
+        np.abs(f(ruined, mask, mask)[mask] - picture[mask].astype(int)).mean()
         for f in (inpaint_shade, inpaint_opencv)
     ]
     assert errors[0] < 0.4 * errors[1]
@@ -62,10 +86,10 @@ def test_a_spline_under_tension_forgets_the_slope(rng):
     ramp = (3.0 * u - v)[..., None]
     ruined = np.where(mask[..., None], rng.uniform(size=(60, 60, 1)), ramp)
     for slope in (3.0, 1e4):
-        np.testing.assert_allclose(continued(ruined, mask, slope=slope), ramp, atol=1e-3)
+        np.testing.assert_allclose(continued(ruined, ~mask, mask, slope=slope), ramp, atol=1e-3)
     shadow = (100.0 - 5.0 * np.clip(26.0 - np.hypot(v - 30, u - 30), 0.0, 6.0))[..., None]
     shadow[0, 0] = 0.0  # there is black in the picture, so that nothing but tension stops the fall
-    middle = [continued(shadow, mask, slope=slope)[30, 30, 0] for slope in (3.0, 1e4)]
+    middle = [continued(shadow, ~mask, mask, slope=slope)[30, 30, 0] for slope in (3.0, 1e4)]
     assert 70.0 - 5.0 * 3.0 < middle[0] < 70.0  # no farther than the slope times its reach
     assert middle[1] < 35.0
 
@@ -82,7 +106,7 @@ def test_it_stays_dark_under_what_casts_a_shadow():
     mask = u**2 + v**2 < 49
     ruined = np.where(mask[..., None], np.uint8(0), dark)
     errors = [
-        np.abs(f(ruined, mask)[mask] - dark[mask].astype(int)).mean() for f in (inpaint_shade, inpaint_opencv)
+        np.abs(f(ruined, mask, mask)[mask] - dark[mask].astype(int)).mean() for f in (inpaint_shade, inpaint_opencv)
     ]
     assert errors[0] < 0.85 * errors[1]
 
@@ -91,8 +115,8 @@ def test_it_stays_dark_under_what_casts_a_shadow():
 def test_nothing_or_all_unknown(inpaint):
     picture = _ramp()
     none = np.zeros(picture.shape[:2], bool)
-    np.testing.assert_array_equal(inpaint(picture, none), picture)
-    assert inpaint(picture, ~none).shape == picture.shape
+    np.testing.assert_array_equal(inpaint(picture, none, none), picture)
+    assert inpaint(picture, ~none, ~none).shape == picture.shape
 
 
 def test_depth():
