@@ -12,21 +12,23 @@
 #                                 .gpu/extras/  extras.tar.xz, 2.4 MiB: cubins for sm_90 (ours and gswarp's: no kernel is compiled
 #                                               there), tyro typeguard docstring_parser simplejpeg, gswarp, gsplat's trimmed
 #                                               sources, results of the CPU to compare with
-#                                 .gpu/gtsam/   gtsam.tar.xz: for loops and one camera's map
+#                                 .gpu/gtsam/   gtsam.tar.xz, 10 MiB: for loops and one camera's map
+#                                 .gpu/clang/   clang.tar.xz, 17 MiB: Warp's CPU compiler
 #                               It says how large the tree is with them: where no more than 64 MiB travel at once, Warp goes first.
 #                               Recordings in .gpu/data/, each a folder that --seq reads, are run by bench where they travel, too.
 #   gpu_day.sh unpack           on the GPU machine, where Warp goes first: 10 seconds
 #   gpu_day.sh checks           on the GPU machine: are the results right?   1-3 minutes, side by side on its cores
+#   gpu_day.sh profile          on the GPU machine: where does it go?        2 minutes; what checks needs .gpu/clang for, too
 #   gpu_day.sh bench            on the GPU machine: how fast?                2-3 minutes
 #   gpu_day.sh deep             on the GPU machine: compute-sanitizer, ncu   2-3 minutes
 #
 # A later call on the same machine finds everything unpacked. Limits that fit 15 minutes with the start:
 # checks 330 s, bench 300 s, deep 200 s. If checks shows wrong results, mend first, do not bench.
 #
-# CPU kernels cannot run there (no warp-clang.so): tests are chosen by their id [cuda:0], the office is rendered on
-# the GPU into files first, and references were made beforehand.
+# CPU kernels run there only with .gpu/clang (tests that render their input on the CPU, doctor --gpu); the rest does
+# without: the office is rendered on the GPU into files first, and references were made beforehand.
 set -uo pipefail
-what=${1:?prepare, unpack, checks, bench or deep}
+what=${1:?prepare, unpack, checks, profile, bench or deep}
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
 
 if [ "$what" = prepare ]; then
@@ -50,6 +52,11 @@ if [ "$what" = prepare ]; then
         rm -rf "$work"/g/site/gtsam_unstable "$work"/g/site/gtsam/{tests,examples,notebooks,Data}
         tar -C "$work/g/site" -cf - . | xz -9e -T1 > .gpu/gtsam/gtsam.tar.xz
     fi
+    if [ ! -s .gpu/clang/clang.tar.xz ]; then
+        mkdir -p .gpu/clang
+        bin=$("$python" -c 'import warp, pathlib; print(pathlib.Path(warp.__file__).parent / "bin")')
+        tar -C "$bin" -cf - warp-clang.so | xz --x86 --lzma2=preset=9e,dict=128MiB -T1 > .gpu/clang/clang.tar.xz
+    fi
     for wheel in "$work"/w/*.whl; do "$python" -m zipfile -e "$wheel" "$work/x/site"; done
     # gsplat: three channel counts instead of nineteen (20 channels are padded to 32), or it compiles for minutes.
     for f in "$work"/x/site/gsplat/cuda/csrc/*.cu "$work"/x/site/gsplat/cuda/csrc/*.cpp; do
@@ -71,7 +78,7 @@ PY
     done
     PYTHONPATH="$root:$root/tools" "$python" -m gpu_day.check save "$work/x/reference.npz" --device cpu
     tar --sort=name --mtime=@0 --owner=0 --group=0 -C "$work/x" -cf - . | xz -9e -T1 > .gpu/extras/extras.tar.xz
-    ls -l .gpu/warp .gpu/extras .gpu/gtsam
+    ls -l .gpu/warp .gpu/extras .gpu/gtsam .gpu/clang
     size() { du -cb "$@" | tail -1 | cut -f1; }
     tree=$(git ls-files -z --cached --others --exclude-standard | xargs -0 du -cb | tail -1 | cut -f1)
     all=$((tree + $(size .gpu/warp) + $(size .gpu/extras))) warp=$((tree + $(size .gpu/warp)))
@@ -131,17 +138,23 @@ fi
 if ! cmp -s .gpu/extras/extras.tar.xz "$base/extras.tar.xz"; then
     rm -rf "$base/x" && mkdir "$base/x" && tar -xJf .gpu/extras/extras.tar.xz -C "$base/x" && cp -r "$base"/x/site/* "$base/site/"
     cp .gpu/extras/extras.tar.xz "$base/extras.tar.xz"
+    [ -n "${GSPLAT:-}" ] || rm -rf "$base/site/gsplat"  # importing it compiles it
 fi
 if [ -s .gpu/gtsam/gtsam.tar.xz ] && [ ! -d "$base/site/gtsam" ]; then tar -xJf .gpu/gtsam/gtsam.tar.xz -C "$base/site"; fi
+clang=$base/site/warp/bin
+if [ -s .gpu/clang/clang.tar.xz ] && [ ! -s "$clang/warp-clang.so" ]; then tar -xJf .gpu/clang/clang.tar.xz -C "$clang"; fi
 export PYTHONPATH="$root:$root/tools:$base/site" WARP_CACHE_PATH="$base/x/cache" PYTHONUNBUFFERED=1
 export PYTHONFAULTHANDLER=1 TORCH_EXTENSIONS_DIR=$base/ext GGWARP_TEST_DATA=/nowhere
 check="python3 -m gpu_day.check" reference=$base/x/reference.npz
 pytest="python3 -c \"import sys, warp as wp; wp.config.cuda_output = 'cubin'; import pytest; sys.exit(pytest.main(sys.argv[1:]))\" -q -p no:cacheprovider -o addopts='--import-mode=importlib' --timeout 40 --tb=short -rf"
 
+b="python3 tools/benchmark.py"
+kernels="$b kernels --device cuda:0 --size 1200x680 --gaussians 300000 --no-compile"
+
 case $what in
 checks)
-    # gsplat compiles meanwhile, on cores that nothing else wants.
-    if [ ! -e "$base/gsplat.started" ]; then
+    # gsplat compiles meanwhile where GSPLAT=1, for many minutes, on cores that nothing else wants.
+    if [ -n "${GSPLAT:-}" ] && [ ! -e "$base/gsplat.started" ]; then
         touch "$base/gsplat.started"
         TORCH_CUDA_ARCH_LIST=9.0 MAX_JOBS=12 setsid nice -n 19 timeout 500 python3 -c 'import gsplat.cuda._backend' \
             > "$base/gsplat.log" 2>&1 < /dev/null &
@@ -171,10 +184,18 @@ PY"
     side small-mono 100 "$small --mono --out /tmp/small4"
     join
     ;;
+profile)
+    step sequence 30 "[ -e /tmp/office/traj.txt ] || python3 -m gpu_day.office_sequence 60 1.0 /tmp/office"
+    step frame-profile 45 "python3 -m gpu_day.frame_profile /tmp/office --warm 8 --frames 6"
+    step kernels 40 "$kernels --rounds 6 --out $OUT/kernels.json"
+    side system-tests 80 "$pytest -n 11 tests/pipeline tests/objects tests/evaluation tests/editing tests/kernels/losses -k 'cuda:0'"
+    side doctor 60 "python3 -m ggwarp doctor --gpu"
+    side gswarp 80 "python3 -m gpu_day.gswarp_peer 1200x680 300000"
+    join
+    ;;
 bench)
-    b="python3 tools/benchmark.py"
-    step kernels 75 "$b kernels --device cuda:0 --size 1200x680 --gaussians 300000 --rounds 12 --no-compile --out $OUT/kernels.json"
-    step gswarp 40 "python3 -m gpu_day.gswarp_peer 1200x680 300000"
+    step kernels 75 "$kernels --rounds 12 --out $OUT/kernels.json"
+    step gswarp 60 "python3 -m gpu_day.gswarp_peer 1200x680 300000"
     step sequence 45 "python3 -m gpu_day.office_sequence 60 1.0 /tmp/office"
     run="python3 -m ggwarp.run --device cuda:0 --save-renders 0"
     step run 90 "$run --seq /tmp/office --out /tmp/run1 && cp /tmp/run1/metrics.json $OUT/metrics.json && head -40 /tmp/run1/frames.csv"
@@ -183,9 +204,8 @@ bench)
     for recording in .gpu/data/*/; do
         [ -d "$recording" ] && step "run-$(basename "$recording")" 60 "$run --seq $recording --out /tmp/recorded"
     done
-    step run-profiled 60 "python3 -m cProfile -s tottime -m ggwarp.run --seq /tmp/office --frames 0:24 --pipelined off --device cuda:0 --out /tmp/run2 --save-renders 0 | grep -v '^ *│' | head -90"
     step tracking 45 "$b tracking --device cuda:0 --seq /tmp/office --quick --out $OUT/tracking.json"
-    step gsplat 75 "for i in \$(seq 60); do ls $base/ext/*/gsplat_cuda.so >/dev/null 2>&1 && break; sleep 1; done; tail -3 $base/gsplat.log; $b kernels --device cuda:0 --size 1200x680 --gaussians 300000 --quick --no-compile --out $OUT/gsplat.json"
+    step gsplat 75 "for i in \$(seq 60); do ls $base/ext/*/gsplat_cuda.so >/dev/null 2>&1 && break; sleep 1; done; tail -3 $base/gsplat.log; $kernels --quick --out $OUT/gsplat.json"
     ;;
 deep)
     one="tests/kernels/raster/test_composite.py -k 'cuda:0 and matches_the_oracle'"
