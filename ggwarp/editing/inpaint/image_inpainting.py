@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pictures made whole: what the filling of holes takes its colours from.
 
-An inpainter is a function of a picture [h, w, 3] uint8 (RGB), of a mask [h, w] bool, True where the picture is
-not known, and of those pixels of the mask [h, w] bool that are wanted. It returns the picture with these made
-up; what it does about the rest of the mask does not matter. Any other can be given instead.
+An inpainter is a function of a picture [h, w, 3] uint8 (RGB), of a mask [h, w] bool, True where the picture
+is not known, and of those pixels of the mask [h, w] bool that are wanted. It returns the picture with these
+made up; what it does about the rest of the mask does not matter. Any other can be given instead.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def inpaint_opencv(rgb: Picture, mask: Bools, wanted: Bools) -> Picture:
 
 
 def inpaint_shade(rgb: Picture, mask: Bools, wanted: Bools) -> Picture:
-    """Return ``rgb`` with the masked pixels near the ``wanted`` filled so that light, shade and texture go on.
+    """Return ``rgb`` with the masked pixels near the ``wanted`` ones filled: light, shade and texture go on.
 
     Texture comes from where the picture, shifted, is most like itself (:func:`continued_texture`). What is
     left is continued smoothly (:func:`continued`): it stays dark behind the object that casts a shadow.
@@ -81,7 +81,8 @@ def continued(picture: Float64, known: Bools, open_: Bools, *, slope: float) -> 
 
     Value and slope go on across the outline of the ``known``; over ``slope`` pixels the slope dies out, so
     that a wide hole is no darker in the middle than what is around. The sum of laplacian^2 +
-    (gradient / slope)^2 is least, over pixels that are known or open. Each part of ``open_`` touches a known one.
+    (gradient / slope)^2 is least, over pixels that are known or open. Each part of ``open_`` touches a known
+    pixel.
     """
     from scipy.sparse import csr_matrix, diags, vstack  # heavy, and seldom needed
     from scipy.sparse.linalg import splu

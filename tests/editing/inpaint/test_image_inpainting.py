@@ -106,7 +106,8 @@ def test_it_stays_dark_under_what_casts_a_shadow():
     mask = u**2 + v**2 < 49
     ruined = np.where(mask[..., None], np.uint8(0), dark)
     errors = [
-        np.abs(f(ruined, mask, mask)[mask] - dark[mask].astype(int)).mean() for f in (inpaint_shade, inpaint_opencv)
+        np.abs(f(ruined, mask, mask)[mask] - dark[mask].astype(int)).mean()
+        for f in (inpaint_shade, inpaint_opencv)
     ]
     assert errors[0] < 0.85 * errors[1]
 
