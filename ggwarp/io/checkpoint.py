@@ -15,7 +15,7 @@ from ggwarp.io.atomic import atomic_write
 from ggwarp.io.guarded import FileError, FileKind, check_file
 from ggwarp.io.printable import printable, shown
 
-FORMAT = 2
+FORMAT = 3
 """Grows when what a checkpoint holds changes, so that an older version would not understand it."""
 
 _CHECKPOINT = FileKind("a checkpoint", 64 << 30)

@@ -77,7 +77,7 @@ class Slam:
             camera: of the frames' ``rgb``, ``depth`` and ``mask``.
             sensor_camera: of the frames' ``sensor_depth``.
             scheduler: when frames come and how much mapping they get; None: ``config.mapper.iterations``.
-            images: holds those of the keyframes, on ``device``; None: all of them stay in memory.
+            images: holds those of the keyframes, on ``device``; None: they and loops' places stay in memory.
             map_budget: what of the map is on ``device``; None: all of it.
             earlier: goes on in its map: the first frame is looked for in it. Needs depth.
 
@@ -99,7 +99,7 @@ class Slam:
 
     def _build(self) -> None:
         """Make the map, and the parts that work on it."""
-        config, device, camera = self.config, self.device, self.camera
+        config, device, camera, images = self.config, self.device, self.camera, self._stores["images"]
         self._trackable = TrackableMap(config.trackable, device=device)
         self._earlier_poses: dict[int, Float64] = {}
         self._mapper = make_mapper(config, camera, device=device, **self._stores)
@@ -107,7 +107,7 @@ class Slam:
         self._policy = make_policy(config, self._mapper)
         renderer, cameras = Renderer(self.map, camera, identity=False), (camera, self._sensor_camera)
         self._tracker = make_tracker(TrackerContext(config, *cameras, renderer, device, config.mono))
-        self.loops = TrackingLoops(config, cameras, self._tracker, self._policy, self._trackable)
+        self.loops = TrackingLoops(config, cameras, self._tracker, self._policy, self._trackable, images)
         parts = MapParts(self._mapper, self._trackable, self._tracker, self.loops)
         self.localiser = None if self.earlier is None else enter_map(self.earlier, config, cameras, parts)
 

@@ -98,6 +98,11 @@ class ImageStore:
         return list(self._keys)
 
     @property
+    def folder(self) -> Callable[[], Path] | None:
+        """Tells where the file is or will be; None: all stays in memory."""
+        return None if self._budget is None else self._folder or (lambda: Path(tempfile.gettempdir()))
+
+    @property
     def stored(self) -> int:
         """Bytes of the file."""
         return self._end

@@ -142,9 +142,9 @@ class Localiser(Stateful):
         self._pictures = SmallViews(sensor_camera)
         self._gicp_config, self._sensor_camera, self._device = config.gicp, sensor_camera, device
         self._places, self._render, self.name = list(places), render, name
-        self._looks = VisualIndex()
-        for place in places:
-            self._looks.add(place.features.descriptors)
+        self._looks = VisualIndex(lambda number: self._places[number].features.descriptors)
+        for _ in places:
+            self._looks.add()
         self.views = views
         self._missed: list[int] = []
         self.place: FoundPlace | None = None

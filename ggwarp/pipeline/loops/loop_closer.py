@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from ggwarp.geometry.camera import Camera
 from ggwarp.geometry.pose_correction import PoseCorrection
 from ggwarp.pipeline.loops.feature_alignment import DepthNoise, FeatureAligner, FeatureAlignment
 from ggwarp.pipeline.loops.features import FeatureExtractor
+from ggwarp.pipeline.loops.place_store import Places
 from ggwarp.pipeline.loops.places import SEPARATE, Place, candidates, far_enough
 from ggwarp.pipeline.loops.pose_graph import MeasuredMotion, optimise_poses
 from ggwarp.pipeline.loops.recognition import VisualIndex
@@ -95,8 +97,8 @@ class LoopCloser(Stateful):
     """
 
     STATE = (
-        "_looks",
         "_places",
+        "_looks",
         "_surfaces",
         "_motions",
         "_waiting",
@@ -115,6 +117,7 @@ class LoopCloser(Stateful):
         *,
         least_move: float,
         device: Any,
+        folder: Callable[[], Path] | None = None,
     ) -> None:
         """Know no place yet.
 
@@ -122,14 +125,15 @@ class LoopCloser(Stateful):
             camera, sensor_camera: of the frames' pictures and of their sensor depth.
             depth_noise: depths, metres -> standard deviations of readings, metres.
             least_move: poses are left alone where nothing would move farther, metres.
+            folder: tells where a file of what places show goes; None: it stays in memory.
         """
         self._extractor = FeatureExtractor(camera, sensor_camera)
         self._aligner = FeatureAligner(camera, depth_noise)
         self._surfaces = SurfaceRegistration(device=device)
         self._pictures = SmallViews(sensor_camera)
         self._least_move = least_move
-        self._looks = VisualIndex()
-        self._places: list[Place] = []
+        self._places = Places(self._pictures, folder)
+        self._looks = VisualIndex(self._places.descriptors)
         self._motions: list[MeasuredMotion] = []
         self._waiting: list[MeasuredMotion] = []
         self._searched = self._solved = self._fixed = 0
@@ -138,9 +142,8 @@ class LoopCloser(Stateful):
 
     def adopt(self, places: Sequence[Place]) -> None:
         """Begin with ``places`` of an earlier map, which stay where they are; before the first frame."""
-        self._places += places
         for place in places:
-            self._looks.add(place.features.descriptors)
+            self._take_in(place)
         self._fixed = len(self._places)
 
     def observe(self, frame: Frame, result: TrackResult, scope: Scope = nullcontext) -> Closure | None:
@@ -161,21 +164,23 @@ class LoopCloser(Stateful):
         self.seconds += time.perf_counter() - started
         return closure
 
+    def _take_in(self, place: Place) -> None:
+        self._places.add(place)
+        self._looks.add()
+
     def _is_due(self, frame: Frame, result: TrackResult) -> bool:
         if result.verdict is Verdict.LOST or result.points is None or not len(result.points.points):
             return False
-        if not self._places or far_enough(self._places[-1], result.T_wc):
+        if not len(self._places) or far_enough(self._places.poses[-1], result.T_wc):
             return True
-        return result.verdict is Verdict.POOR or frame.index - self._places[-1].index >= _LONGEST
+        return result.verdict is Verdict.POOR or frame.index - self._places.poses[-1].index >= _LONGEST
 
     def _add(self, frame: Frame, result: TrackResult, scope: Scope) -> None:
         assert result.points is not None
         features = self._extractor.extract(frame)
         depth = float(np.median(result.points.points[:, 2]))
         view, surface = self._pictures.view(frame), Surface.of(result.points)
-        place = Place(frame.index, result.T_wc, depth, features, view, surface)
-        self._places.append(place)
-        self._looks.add(features.descriptors)
+        self._take_in(Place(frame.index, result.T_wc, depth, features, view, surface))
         number = len(self._places) - 1
         if number:
             self._motions.append(self._tracked(number, result))
@@ -183,11 +188,11 @@ class LoopCloser(Stateful):
             found = self._aligned(a, number, _NEIGHBOUR_INLIERS)
             if found is not None:
                 self._motions.append(_measured(a, number, found.T_ab, found.information))
-        searched = self._places[self._searched]
+        searched = self._places.poses[self._searched]
         if number and frame.index - searched.index < _SEARCH and not far_enough(searched, result.T_wc):
             return
         self._searched = number
-        for a in candidates(self._places, self._looks):
+        for a in candidates(self._places.poses, self._looks):
             motion = self._loop(a, number, scope)
             if motion is None or not self._looks_true(motion):
                 continue
@@ -196,7 +201,7 @@ class LoopCloser(Stateful):
 
     def _tracked(self, b: int, result: TrackResult) -> MeasuredMotion:
         """Return the motion since the last place as it was tracked."""
-        T_ab = se3.inverse(self._places[b - 1].T_wc) @ self._places[b].T_wc
+        T_ab = se3.inverse(self._places.poses[b - 1].T_wc) @ self._places.poses[b].T_wc
         # What nothing is known of is not certain to be there, either: a wall leaves two directions open.
         information = np.eye(6) / _UNKNOWN**2
         if result.information is not None and np.isfinite(result.information).all():
@@ -213,28 +218,28 @@ class LoopCloser(Stateful):
         found = self._aligned(a, b, _INLIERS)
         if found is None:
             return None
-        surfaces = self._places[a].surface, self._places[b].surface
+        surfaces = self._places.surface(a), self._places.surface(b)
         with scope():
             agree = self._surfaces.agree(*surfaces, found.T_ab, found.information)
         return _measured(a, b, found.T_ab, found.information) if agree else None
 
     def _aligned(self, a: int, b: int, least: int) -> FeatureAlignment | None:
         """Return the motion between two places by their features; None where too few agree."""
-        one, other = self._places[a].features, self._places[b].features
+        one, other = self._places.features(a), self._places.features(b)
         return self._aligner.align_features(one, other, least=least, seed=(a, b))
 
     def _looks_true(self, motion: MeasuredMotion) -> bool:
         """Whether the two views, so placed, neither see through each other nor look different."""
-        T_ab, a, b = motion.T_ab, self._places[motion.a], self._places[motion.b]
-        return self._pictures.compare(b.view, [a.view], [T_ab]).is_consistent
+        a, b = self._places.view(motion.a), self._places.view(motion.b)
+        return self._pictures.compare(b, [a], [motion.T_ab]).is_consistent
 
     def _correction_by(self, motion: MeasuredMotion) -> Float64:
         """Return the motion [4, 4] of the world that brings place b to where a says it is."""
-        a, b = self._places[motion.a], self._places[motion.b]
+        a, b = self._places.poses[motion.a], self._places.poses[motion.b]
         return a.T_wc @ motion.T_ab @ se3.inverse(b.T_wc)
 
     def _displacement(self, motion: MeasuredMotion) -> float:
-        return self._places[motion.b].displacement(self._correction_by(motion))
+        return self._places.poses[motion.b].displacement(self._correction_by(motion))
 
     def _close(self, started: float) -> Closure | None:
         """Close the loops that wait and are confirmed, where anything moves by that."""
@@ -244,28 +249,28 @@ class LoopCloser(Stateful):
         if not confirmed or newest - self._solved < _PAUSE:
             return None
         self._solved = newest
-        before = np.stack([p.T_wc for p in self._places])
+        before = np.stack([p.T_wc for p in self._places.poses])
         after = optimise_poses(before, [*self._motions, *confirmed], fixed=max(self._fixed, 1))
         after[: self._fixed] = before[: self._fixed]
         motions = after @ np.linalg.inv(before)
         motions[: self._fixed] = np.eye(4)
-        moved = max(p.displacement(motion) for p, motion in zip(self._places, motions, strict=True))
+        moved = max(p.displacement(motion) for p, motion in zip(self._places.poses, motions, strict=True))
         if moved <= self._least_move:
             return None
         self._waiting = [m for m in self._waiting if not any(m is other for other in confirmed)]
         self._motions += confirmed
-        for place, T_wc in zip(self._places, after, strict=True):
+        for place, T_wc in zip(self._places.poses, after, strict=True):
             place.T_wc = se3.orthonormalised(T_wc)
-        correction = PoseCorrection(tuple(p.index for p in self._places), motions)
+        correction = PoseCorrection(tuple(p.index for p in self._places.poses), motions)
         loop = max(confirmed, key=lambda m: m.b - m.a)
-        seen_before, frame = self._places[loop.a].index, self._places[newest].index
+        seen_before, frame = self._places.poses[loop.a].index, self._places.poses[newest].index
         return Closure(correction, frame, seen_before, moved, time.perf_counter() - started)
 
     def _confirms(self, one: MeasuredMotion, other: MeasuredMotion) -> bool:
         """Whether two loops that share no view say the same."""
         if (one.b == other.b and abs(one.a - other.a) < SEPARATE) or one.a == other.a:
             return False
-        place = self._places[other.b]
+        place = self._places.poses[other.b]
         correction, difference = self._correction_by(other), self._correction_by(one)
         difference = difference @ se3.inverse(correction)
         allowed = self._least_move + _AGREEMENT * place.displacement(correction)

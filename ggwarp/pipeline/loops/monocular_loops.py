@@ -82,7 +82,7 @@ class MonocularLoops(Stateful):
         self._extractor = FeatureExtractor(camera, camera)
         self._tracks = FeatureTracks(camera)
         self._points: Float64 = np.zeros((0, 3))
-        self._looks = VisualIndex()
+        self._looks = VisualIndex(lambda number: self._views[number].descriptors)
         self._loops: list[MeasuredSimilarity] = []
         self._waiting: list[MeasuredSimilarity] = []
         self._solved = 0
@@ -141,7 +141,7 @@ class MonocularLoops(Stateful):
             frame.index, result.T_wc, pixels, descriptors, np.full(n, -1, np.intp), np.full(n, np.nan), depth
         )
         self._tracks.add(view)
-        self._looks.add(descriptors)
+        self._looks.add()
         self._make_room()
         if len(self._views) == 1 and result.depth is not None:
             # The map begins with this: its scale is the one that stays.

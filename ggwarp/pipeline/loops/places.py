@@ -53,24 +53,33 @@ class Looking:
 
 @state_value
 @dataclass
-class Place(Looking):
-    """A keyframe of the pose graph.
+class PlacePose(Looking):
+    """Where a keyframe of the pose graph is.
 
     Attributes:
         index: its frame's. T_wc: [4, 4] its pose as it is now.
         depth: median of what it sees, metres.
-        features: of its picture. view: the small one. surface: its points.
     """
 
     index: int
     T_wc: Float64
     depth: float
+
+
+@dataclass
+class Place(PlacePose):
+    """A keyframe of the pose graph, with what it shows.
+
+    Attributes:
+        features: of its picture. view: the small one. surface: its points.
+    """
+
     features: Features
     view: SmallView
     surface: Surface
 
 
-def far_enough(last: Place, T_wc: Float64) -> bool:
+def far_enough(last: PlacePose, T_wc: Float64) -> bool:
     """Return whether a frame at ``T_wc`` [4, 4] is another place than ``last``."""
     motion = se3.inverse(last.T_wc) @ T_wc
     turn = np.arccos(np.clip((np.trace(motion[:3, :3]) - 1.0) / 2.0, -1.0, 1.0))

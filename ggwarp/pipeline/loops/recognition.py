@@ -7,8 +7,11 @@ are four times as many keyframes. Nothing is downloaded, and there is nothing th
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from ggwarp.runtime.state import Stateful
 from ggwarp.types import Float32, Float64
@@ -24,58 +27,69 @@ _WORDS = 1024
 
 
 class VisualIndex(Stateful):
-    """Finds pictures by their descriptors; pictures are numbered in the order in which they came."""
+    """Finds pictures by their descriptors; pictures are numbered in the order in which they came.
 
-    STATE = ("_descriptors", "_words", "_counts", "_next")
+    Of a picture it keeps a word for each feature; descriptors are asked for again when words are drawn anew.
+    """
 
-    def __init__(self) -> None:
-        self._descriptors: list[NDArray[np.uint8]] = []
+    STATE = ("_count", "_words", "_words_of", "_next")
+
+    def __init__(self, descriptors: Callable[[int], NDArray[np.uint8]]) -> None:
+        """``descriptors`` returns those of a picture that was added, [n, 128], by its number."""
+        self._descriptors = descriptors
+        self._count = 0
         self._words: Float32 = np.zeros((0, 128), np.float32)
-        self._counts: list[Float64] = []
+        self._words_of: list[NDArray[np.uint16]] = []  # by picture, once there are words
         self._next = _FIRST
 
     def __len__(self) -> int:
-        return len(self._descriptors)
+        return self._count
 
-    def add(self, descriptors: NDArray[np.uint8]) -> None:
-        """Take in the next picture's ``descriptors`` [n, 128]."""
-        self._descriptors.append(descriptors)
+    def add(self) -> None:
+        """Take in the next picture, whose descriptors can be asked for."""
+        self._count += 1
         if len(self) >= self._next:
             self._learn_words()
         elif len(self._words):
-            self._counts.append(self._count(descriptors))
+            self._words_of.append(self._nearest_words(self._descriptors(len(self) - 1)))
 
     def similarities(self) -> Float64:
         """Return [n - 1] how alike each earlier picture is to the last: cosine of tf-idf; 0 without words."""
-        if len(self._counts) < 2:
+        if len(self._words_of) < 2:
             return np.zeros(max(len(self) - 1, 0))
-        return self._similarities(np.stack(self._counts))
+        return self._similarities(self._words_of)
 
     def similarities_to(self, descriptors: NDArray[np.uint8]) -> Float64:
         """Return [n] how alike each picture is to another one with ``descriptors`` [m, 128]."""
-        if not self._counts:
+        if not self._words_of:
             return np.zeros(len(self))
-        return self._similarities(np.stack([*self._counts, self._count(descriptors)]))
+        return self._similarities([*self._words_of, self._nearest_words(descriptors)])
 
-    def _similarities(self, counts: Float64) -> Float64:
-        """Return [n - 1] how alike each of the pictures but the last, by ``counts`` [n, words], is to it."""
-        seen_by = (counts > 0.0).sum(axis=0)
-        weights = np.log(len(counts) / np.maximum(seen_by, 1))
-        vectors = counts * weights
-        vectors /= np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
-        return vectors[:-1] @ vectors[-1]
+    def _similarities(self, words_of: list[NDArray[np.uint16]]) -> Float64:
+        """Return [n - 1] how alike each of the pictures but the last, by their features' words, is to it."""
+        features = np.array([len(words) for words in words_of])
+        pictures, words = np.repeat(np.arange(len(features)), features), np.concatenate(words_of)
+        size = len(features), len(self._words)
+        counts = sparse.csr_array((1.0 / features[pictures], (pictures, words)), shape=size)
+        seen_by = np.bincount(counts.indices, minlength=size[1])
+        vectors = counts * np.log(size[0] / np.maximum(seen_by, 1))[None]
+        vectors = sparse.csr_array(vectors)
+        norms = np.maximum(sparse.linalg.norm(vectors, axis=1), 1e-12)
+        return (vectors[:-1] @ vectors[[-1]].toarray()[0]) / (norms[:-1] * norms[-1])
 
     def _learn_words(self) -> None:
         self._next = _GROWTH * len(self)
-        rows = np.concatenate(self._descriptors)
-        drawn = np.random.default_rng((17, len(self))).permutation(len(rows))[:_WORDS]
-        self._words = rows[np.sort(drawn)].astype(np.float32)
-        self._counts = [self._count(descriptors) for descriptors in self._descriptors]
+        ends = np.cumsum([len(self._descriptors(k)) for k in range(len(self))])
+        drawn = np.sort(np.random.default_rng((17, len(self))).permutation(ends[-1])[:_WORDS])
+        pictures = np.searchsorted(ends, drawn, side="right")
+        words = [self._descriptors(k)[drawn[pictures == k] - ends[k]] for k in np.unique(pictures).tolist()]
+        self._words = np.concatenate([np.zeros((0, 128), np.float32), *words]).astype(np.float32)
+        self._words_of = [self._nearest_words(self._descriptors(k)) for k in range(len(self))]
 
-    def _count(self, descriptors: NDArray[np.uint8]) -> Float64:
-        """Return [words] the share of the picture's features that are each word."""
+    def _nearest_words(self, descriptors: NDArray[np.uint8]) -> NDArray[np.uint16]:
+        """Return [n] the word of each of a picture's features."""
         if not len(descriptors) or not len(self._words):
-            return np.zeros(len(self._words))
+            return np.zeros(0, np.uint16)
         rows = descriptors.astype(np.float32)
         nearest = ((self._words**2).sum(axis=1)[None] - 2.0 * (rows @ self._words.T)).argmin(axis=1)
-        return np.bincount(nearest, minlength=len(self._words)) / len(rows)
+        return nearest.astype(np.uint16)

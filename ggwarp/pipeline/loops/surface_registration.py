@@ -68,7 +68,7 @@ class Surface:
 
 def _thinned(points: Float32, quats: Float32, spreads: Float32) -> Surface:
     step = max(1, len(points) // _KEPT)
-    points, quats, spreads = (rows[::step] for rows in (points, quats, spreads))
+    points, quats, spreads = (rows[::step].copy() for rows in (points, quats, spreads))
     spacing = 0.0
     if len(points) > 1:
         distances, _ = KDTree(points).query(points, k=2, workers=1)

@@ -18,6 +18,7 @@ from ggwarp.pipeline.tracking.keyframe_policy import KeyframePolicy
 from ggwarp.pipeline.tracking.monocular import MonocularTracker
 from ggwarp.pipeline.tracking.point_map import TrackableMap
 from ggwarp.pipeline.tracking.tracker import FollowsMap, Tracker, TrackingConfig
+from ggwarp.runtime.image_store import ImageStore
 from ggwarp.runtime.state import Stateful
 from ggwarp.types import Frame, TrackResult
 
@@ -38,12 +39,14 @@ class TrackingLoops(Stateful):
         tracker: Tracker,
         policy: KeyframePolicy,
         points: TrackableMap,
+        images: ImageStore | None = None,
     ) -> None:
         """Know no place yet.
 
         Args:
             cameras: of the frames' pictures and of their sensor depth.
             tracker, policy, points: what follows.
+            images: those of the keyframes; what places show goes where these go.
         """
         self._tracker, self._policy, self._points = tracker, policy, points
         self.stay_open = _why_not(tracker, config.loops)
@@ -55,7 +58,13 @@ class TrackingLoops(Stateful):
             self._closer = (
                 MonocularLoops(cameras[0])
                 if isinstance(tracker, MonocularTracker)
-                else LoopCloser(*cameras, config.gicp.depth_noise, least_move=least, device=points.device)
+                else LoopCloser(
+                    *cameras,
+                    config.gicp.depth_noise,
+                    least_move=least,
+                    device=points.device,
+                    folder=None if images is None else images.folder,
+                )
             )
 
     def adopt(self, places: Sequence[Place]) -> None:

@@ -56,6 +56,6 @@ class EarlierViews(Stateful):
         x = se3.transform_points(se3.inverse(self._keyframes.pose(number)), means)
         rows, columns, inside = self._camera.pixels_of(x)
         near = np.abs(x[:, 2] - surface[rows, columns]) <= _SURFACE * surface[rows, columns]
-        earlier = np.array([state.is_earlier for state in self._keyframes.states])[born]
+        earlier = np.array([origin.is_earlier for origin in self._keyframes.origins])[born]
         gone = earlier & inside & near & pixels[rows, columns]
         self._map.keep(wp.array((~gone).astype(np.int32), dtype=int, device=self._map.device))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Keyframes as mapping sees them: arrays on the device.
 
-What is small of each stays there; images are many, and in an :class:`ImageStore`.
+What is small of each stays there, a row of a few arrays; images are many, and in an :class:`ImageStore`.
 """
 
 from __future__ import annotations
@@ -29,27 +29,17 @@ _NEUTRAL = Exposure()
 
 
 @dataclass(frozen=True)
-class KeyframeState:
-    """What is known of a keyframe but its images, on the device.
+class KeyframeOrigin:
+    """Where a keyframe comes from.
 
     Attributes:
         index: the frame's; negative: it is a view of an earlier map.
         has_depth: whether the frame came with depth.
-        T_cw: [1] mat44, world to camera.
-        pose_moments, pose_steps: [2] vec6 and [1] int, Adam's state of that pose.
-        exposure: [1] vec6, see :mod:`ggwarp.kernels.photometric.affine_exposure`; 0: the map's own.
-        exposure_moments, exposure_steps: as those of the pose.
         checksum: of the frame's picture and depth, see :func:`ggwarp.runtime.state.frame_checksum`.
     """
 
     index: int
     has_depth: bool
-    T_cw: wp.array
-    pose_moments: wp.array
-    pose_steps: wp.array
-    exposure: wp.array
-    exposure_moments: wp.array
-    exposure_steps: wp.array
     checksum: int
 
     @property
@@ -59,16 +49,26 @@ class KeyframeState:
 
 
 @dataclass(frozen=True)
-class Keyframe(KeyframeState):
+class Keyframe(KeyframeOrigin):
     """A frame the map is fitted to, on the device.
 
     Attributes:
+        T_cw: [1] mat44, world to camera.
+        pose_moments, pose_steps: [2] vec6 and [1] int, Adam's state of that pose.
+        exposure: [1] vec6, see :mod:`ggwarp.kernels.photometric.affine_exposure`; 0: the map's own.
+        exposure_moments, exposure_steps: as those of the pose.
         colour: [h, w, 3] uint8.
         depth: [h, w] float, metres, 0 = none.
         labels: [h, w] int class of each pixel; None where there is no mask.
         depth_weights: [h, w] uint8 how much each reading counts in the loss, 64 for one; None: all alike.
     """
 
+    T_cw: wp.array
+    pose_moments: wp.array
+    pose_steps: wp.array
+    exposure: wp.array
+    exposure_moments: wp.array
+    exposure_steps: wp.array
     colour: wp.array
     depth: wp.array
     labels: wp.array | None
@@ -138,24 +138,29 @@ POSE = ("T_cw", "pose_moments", "pose_steps")
 EXPOSURE = ("exposure", "exposure_moments", "exposure_steps")
 """What a step of the exposure changes."""
 
+_FITTED = (*POSE, *EXPOSURE)
+_FIRST_ROOM = 64
+"""Keyframes that the arrays of what is fitted have room for at first; they double."""
+
 
 class Keyframes(Sequence[Keyframe], Stateful):
     """All keyframes, numbered in the order in which they came.
 
     Attributes:
-        states: of each, all but its images.
+        origins: where each comes from.
     """
 
     def __init__(self, images: ImageStore) -> None:
         """Begin without any; their images go to ``images``, by number and name, which nobody else uses."""
-        self.states: list[KeyframeState] = []
+        self.origins: list[KeyframeOrigin] = []
+        self._fitted: dict[str, wp.array] = {}  # by name, [room, ...]: a row of each keyframe
         self._images = images
-        self._left_out: dict[int, NDArray[np.bool_]] = {}
+        self._left_out: dict[int, NDArray[np.uint8]] = {}  # packed
         self._packed_labels: dict[int, NDArray[np.uint8]] = {}  # those that have not changed since
         images.clear()
 
     def __len__(self) -> int:
-        return len(self.states)
+        return len(self.origins)
 
     @overload
     def __getitem__(self, number: int) -> Keyframe: ...
@@ -167,14 +172,21 @@ class Keyframes(Sequence[Keyframe], Stateful):
         number = range(len(self))[number]
         images: dict[str, Any] = dict.fromkeys(IMAGES)
         images |= {n: self._images.get((number, n)) for n in IMAGES if (number, n) in self._images}
-        return Keyframe(**vars(self.states[number]), **images)
+        fitted = {name: self._row(name, number) for name in _FITTED}
+        return Keyframe(**vars(self.origins[number]), **fitted, **images)
 
     def append(self, keyframe: Keyframe) -> None:
-        """Add the next one; its arrays are kept as they are."""
+        """Add the next one; its images are kept as they are."""
         number = len(self)
-        self.states.append(
-            KeyframeState(**{f.name: getattr(keyframe, f.name) for f in fields(KeyframeState)})
-        )
+        self.origins.append(KeyframeOrigin(keyframe.index, keyframe.has_depth, keyframe.checksum))
+        for name in _FITTED:
+            row, rows = getattr(keyframe, name), self._fitted.get(name)
+            if rows is None or len(rows) == number:
+                room = max(_FIRST_ROOM, 2 * number)
+                self._fitted[name] = wp.zeros((room, len(row)), dtype=row.dtype, device=row.device)
+                if rows is not None:
+                    wp.copy(self._fitted[name], rows, count=rows.size)
+            wp.copy(self._row(name, number), row)
         for name in IMAGES:
             if (image := getattr(keyframe, name)) is not None:
                 self._images.put((number, name), image)
@@ -210,8 +222,9 @@ class Keyframes(Sequence[Keyframe], Stateful):
         if had:
             array.assign(np.where(pixels, np.float32(0), depth))
             self._images.put(key, array)
-            self._left_out[number] = self._left_out.get(number, False) | pixels
-            if self.states[number].is_earlier and (number, "labels") in self._images:
+            bits = np.packbits(pixels)
+            self._left_out[number] = self._left_out.get(number, np.zeros_like(bits)) | bits
+            if self.origins[number].is_earlier and (number, "labels") in self._images:
                 labels = to_host(self._images.get((number, "labels")))
                 self.label(number, np.where(pixels, np.int32(-1), labels))
         return had
@@ -219,7 +232,7 @@ class Keyframes(Sequence[Keyframe], Stateful):
     @property
     def indices(self) -> list[int]:
         """The frames that they are."""
-        return [state.index for state in self.states]
+        return [origin.index for origin in self.origins]
 
     def state(self) -> State:
         """Return what was fitted and labelled; pictures go by reference to their frames."""
@@ -227,17 +240,13 @@ class Keyframes(Sequence[Keyframe], Stateful):
             key = number, "labels"
             if key in self._images and number not in self._packed_labels:
                 self._packed_labels[number] = as_png(to_host(self._images.get(key)))
-        fitted = {
-            name: np.stack([to_host(getattr(k, name)) for k in self.states]) if self.states else None
-            for name in (*POSE, *EXPOSURE)
-        }
         return {
             "indices": self.indices,
-            "checksums": [k.checksum for k in self.states],
-            "has_depth": [k.has_depth for k in self.states],
+            "checksums": [origin.checksum for origin in self.origins],
+            "has_depth": [origin.has_depth for origin in self.origins],
             "labels": [self._packed_labels.get(number) for number in range(len(self))],
-            "left_out": {str(number): np.packbits(pixels) for number, pixels in self._left_out.items()},
-            "fitted": fitted,
+            "left_out": {str(number): bits.copy() for number, bits in self._left_out.items()},
+            "fitted": {name: to_host(rows)[: len(self)].copy() for name, rows in self._fitted.items()},
         }
 
     def restore(self, state: State, frames: FrameSource) -> None:
@@ -245,7 +254,8 @@ class Keyframes(Sequence[Keyframe], Stateful):
 
         Views of an earlier map are not compared with what they were: another device renders other last bits.
         """
-        self.states.clear()
+        self.origins.clear()
+        self._left_out.clear()
         self._images.clear()
         names = ("indices", "checksums", "has_depth", "labels")
         rows = zip(*(state[name] for name in names), strict=True)
@@ -253,7 +263,7 @@ class Keyframes(Sequence[Keyframe], Stateful):
             frame = frames(index) if index < 0 else reread(frames, index, checksum, with_depth=has_depth)
             labels = None if packed is None else from_png(packed, frame.rgb.shape[:2])
             keyframe = upload(frame, np.eye(4), labels, device=self._images.device)
-            for name in (*POSE, *EXPOSURE):
+            for name in _FITTED:
                 into_array(getattr(keyframe, name), state["fitted"][name][number])
             self.append(keyframe)
             if (bits := state["left_out"].get(str(number))) is not None:
@@ -262,18 +272,17 @@ class Keyframes(Sequence[Keyframe], Stateful):
 
     def pose(self, number: int) -> Float64:
         """Return the camera-to-world pose [4, 4] of keyframe ``number`` (-1: the newest) as it is now."""
-        T_cw = to_host(self.states[number].T_cw)[0].astype(np.float64)
+        T_cw = to_host(self._row("T_cw", number))[0].astype(np.float64)
         return se3.inverse(se3.orthonormalised(T_cw))
 
     def poses(self) -> dict[int, Float64]:
         """Return the poses, by the frame's index, of all but an earlier map's views."""
-        numbers = [number for number, state in enumerate(self.states) if not state.is_earlier]
-        return {self.states[number].index: self.pose(number) for number in numbers}
+        return {o.index: self.pose(number) for number, o in enumerate(self.origins) if not o.is_earlier}
 
     def set_pose(self, number: int, T_wc: Float64) -> None:
         """Put keyframe ``number`` at ``T_wc`` [4, 4]; what Adam remembers of its pose is in its camera."""
         T_cw = se3.inverse(se3.orthonormalised(T_wc))
-        self.states[number].T_cw.assign(T_cw[None].astype(np.float32))
+        self._row("T_cw", number).assign(T_cw[None].astype(np.float32))
 
     def move(self, motions: Float64) -> None:
         """Move each keyframe by its motion [n, 4, 4] of the world; those that stay keep every bit."""
@@ -283,8 +292,11 @@ class Keyframes(Sequence[Keyframe], Stateful):
 
     def exposure(self, number: int) -> Exposure:
         """Return the exposure of keyframe ``number`` (-1: the newest) as it is now."""
-        values = to_host(self.states[number].exposure)[0].tolist()
+        values = to_host(self._row("exposure", number))[0].tolist()
         return Exposure(tuple(values[:3]), tuple(values[3:]))
+
+    def _row(self, name: str, number: int) -> Any:
+        return self._fitted[name][range(len(self))[number]]
 
 
 class KeyframeBuffer:

@@ -122,12 +122,12 @@ class Mapper(Stateful):
     @property
     def ready(self) -> bool:
         """Whether there is anything to fit: not an earlier map alone."""
-        return len(self._keyframes) > 0 and not self._keyframes.states[-1].is_earlier and self.map.count > 0
+        return len(self._keyframes) > 0 and not self._keyframes.origins[-1].is_earlier and self.map.count > 0
 
     @property
     def keyframe_indices(self) -> list[int]:
         """Frames that were ever used for mapping."""
-        return [state.index for state in self._keyframes.states if not state.is_earlier]
+        return [origin.index for origin in self._keyframes.origins if not origin.is_earlier]
 
     @property
     def left_out(self) -> dict[str, int]:
@@ -228,12 +228,12 @@ class Mapper(Stateful):
         """
         if self._depth_completion is not None:
             self._depth_completion.observe(frame, T_wc)
-        elif self.ready and not self.refused and frame.index != self._keyframes.states[-1].index:
+        elif self.ready and not self.refused and frame.index != self._keyframes.origins[-1].index:
             self._passed_over.add(frame, T_wc)
         self.submaps.show(T_wc, frame.depth)
         if skip_objects or self.objects is None or not self.ready:
             return
-        if self.objects.vote_is_due(frame, newest=self._keyframes.states[-1].index):
+        if self.objects.vote_is_due(frame, newest=self._keyframes.origins[-1].index):
             self._renderer.render(T_wc)
             self.objects.vote(frame, T_wc, self._renderer)
         hidden = self.submaps.hidden_keyframes()
@@ -241,7 +241,7 @@ class Mapper(Stateful):
         turn = self.objects.keyframe_to_relabel(len(numbers))
         if turn is not None:
             number = numbers[turn]
-            index, T_wc = self._keyframes.states[number].index, self._keyframes.pose(number)
+            index, T_wc = self._keyframes.origins[number].index, self._keyframes.pose(number)
             self._renderer.render(T_wc)
             depth = self._keyframes.depth(number, step=self.objects.grid.step)
             if (labels := self.objects.relabel(index, depth, T_wc, self._renderer)) is not None:

@@ -112,7 +112,10 @@ class SmallViews:
         depth = cv2.resize(image, size, interpolation=cv2.INTER_NEAREST)
         grey = cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2GRAY).astype(np.float32)
         grey = cv2.GaussianBlur(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), (3, 3), 0.0)
-        grey, depth = np.asarray(grey, np.float32), np.asarray(depth, np.float32)
+        return self.of(np.asarray(grey, np.float32), np.asarray(depth, np.float32))
+
+    def of(self, grey: Float32, depth: Float32) -> SmallView:
+        """Return the small picture that has this ``grey`` and ``depth`` [h, w]."""
         v, u = np.nonzero(depth > 0.0)
         points = self._camera.back_project(u, v, depth[v, u]).astype(np.float32)
         return SmallView(grey, depth, points, grey[v, u])

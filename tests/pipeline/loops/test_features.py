@@ -66,10 +66,11 @@ def test_without_depth_or_texture_there_are_no_features(extractor, frames):
 def test_the_picture_of_the_same_place_is_the_most_alike(extractor, frames):
     features = {i: extractor.extract(frame) for i, frame in frames.items()}
     for i in (4, 44, 84, 104):
-        looks = VisualIndex()
         others = [j for j in frames if j != i]
-        for j in [*others, i]:
-            looks.add(features[j].descriptors)
+        order = [*others, i]
+        looks = VisualIndex(lambda number, order=order: features[order[number]].descriptors)
+        for _ in order:
+            looks.add()
         similar = looks.similarities()
         assert len(similar) == len(others)
         best = others[int(similar.argmax())]
@@ -77,8 +78,28 @@ def test_the_picture_of_the_same_place_is_the_most_alike(extractor, frames):
 
 
 def test_an_index_without_words_finds_nothing_alike():
-    looks = VisualIndex()
+    looks = VisualIndex(lambda number: np.zeros((0, 128), np.uint8))
     assert looks.similarities().shape == (0,)
     for _ in range(20):
-        looks.add(np.zeros((0, 128), np.uint8))
+        looks.add()
     assert (looks.similarities() == 0.0).all() and len(looks) == 20
+
+
+def test_similarities_are_those_of_bags_of_words(extractor, frames):
+    """Against the definition, word by word, in dense float64."""
+    all_of_them = [extractor.extract(frame).descriptors for frame in frames.values()]
+    all_of_them.insert(3, np.zeros((0, 128), np.uint8))
+    looks = VisualIndex(lambda number: all_of_them[number])
+    for _ in all_of_them:
+        looks.add()
+    words = looks._words.astype(np.float64)
+    assert len(words) > 100
+    counts = np.zeros((len(all_of_them), len(words)))
+    for picture, descriptors in enumerate(all_of_them):
+        for row in descriptors.astype(np.float64):
+            counts[picture, np.linalg.norm(words - row, axis=1).argmin()] += 1.0 / len(descriptors)
+    vectors = counts * np.log(len(counts) / np.maximum((counts > 0).sum(axis=0), 1))
+    vectors /= np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
+    np.testing.assert_allclose(looks.similarities(), vectors[:-1] @ vectors[-1], atol=1e-9)
+    np.testing.assert_allclose(looks.similarities_to(all_of_them[0])[0], 1.0, atol=0.05)
+    assert looks.similarities()[3] == 0.0, "a picture without features"

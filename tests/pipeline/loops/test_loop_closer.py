@@ -9,6 +9,7 @@ import pytest
 
 from ggwarp.datasets.built_in.synthetic import SyntheticOffice
 from ggwarp.geometry import se3
+from ggwarp.pipeline.loops import place_store
 from ggwarp.pipeline.loops.features import FeatureExtractor
 from ggwarp.pipeline.loops.loop_closer import LoopCloser
 from ggwarp.pipeline.loops.places import Place
@@ -31,9 +32,9 @@ def frames():
     return {i: OFFICE[i] for i in set(WALK)}
 
 
-def made():
+def made(folder=None):
     noise = ObservationConfig().depth_noise
-    return LoopCloser(OFFICE.camera, OFFICE.camera, noise, least_move=0.025, device="cpu")
+    return LoopCloser(OFFICE.camera, OFFICE.camera, noise, least_move=0.025, device="cpu", folder=folder)
 
 
 def points_of(frame):
@@ -165,3 +166,25 @@ def test_views_of_an_earlier_map_take_the_drift_away_and_stay(frames):
         np.testing.assert_array_equal(still, np.tile(np.eye(4), (len(places), 1, 1)))
     for place, i in zip(places, seen, strict=True):
         np.testing.assert_allclose(place.T_wc, frames[i].T_wc, atol=1e-9)
+
+
+def test_loops_are_closed_to_places_in_a_file(frames, tmp_path, monkeypatch):
+    """The same loops to the bit, also after a restart."""
+    expected, _, poses = walk(frames, DRIFT)
+    monkeypatch.setattr(place_store, "_IN_MEMORY", 0)
+    closer = made(lambda: tmp_path)
+    found, _, paged_poses = walk(frames, DRIFT, closer)
+    store = closer._places._store
+    assert store.held < store.stored / 20 and list(tmp_path.iterdir()) == []
+    assert len(found) == len(expected) > 0
+    for one, other in zip(expected, found, strict=True):
+        assert one.correction.indices == other.correction.indices and one.seen_before == other.seen_before
+        np.testing.assert_array_equal(one.correction.motions, other.correction.motions)
+    np.testing.assert_array_equal(poses, paged_poses)
+    again = made(lambda: tmp_path)
+    again.restore(closer.state(), lambda index: frames[index])
+    for number in range(len(closer._places)):
+        for shown in ("features", "view", "surface"):
+            one, other = (vars(getattr(c._places, shown)(number)) for c in (closer, again))
+            for name, values in one.items():
+                np.testing.assert_array_equal(values, other[name], err_msg=name)

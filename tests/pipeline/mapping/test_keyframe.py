@@ -11,7 +11,7 @@ from ggwarp.pipeline.mapping.build import build_mapper
 from ggwarp.pipeline.mapping.keyframe import KeyframeBuffer, Keyframes, upload
 from ggwarp.pipeline.mapping.mapper import MapperConfig
 from ggwarp.runtime.image_store import ImageStore
-from ggwarp.types import Float32, Frame
+from ggwarp.types import Exposure, Float32, Frame
 
 SHAPE = 6, 8
 
@@ -61,6 +61,27 @@ def test_weights_are_kept_and_read_again_with_their_frame(device: str, budget: i
     buffer = KeyframeBuffer()
     assert buffer.load(keyframes[0]).depth_weights is not None
     assert buffer.load(keyframes[1]).depth_weights is None
+
+
+def test_what_is_fitted_of_many_keyframes_stays_with_each(device: str) -> None:
+    """Their rows move to larger arrays as they come; what is written to a keyframe is found there."""
+    keyframes = Keyframes(ImageStore(device=device))
+    given = upload(frame(None), np.eye(4), None, Exposure((0.1, 0.2, 0.3)), device=device)
+    poses = np.tile(np.eye(4), (200, 1, 1))
+    poses[:, 0, 3] = np.arange(200)
+    for number, T_wc in enumerate(poses):
+        keyframes.append(given)
+        keyframes.set_pose(number, T_wc)
+        keyframes[number].pose_steps.fill_(number)
+    for number in (0, 63, 64, 127, 128, 199, -1):
+        np.testing.assert_allclose(keyframes.pose(number), poses[number], atol=1e-6)
+        assert keyframes[number].pose_steps.numpy().tolist() == [number % 200]
+        np.testing.assert_allclose(keyframes.exposure(number).log_gain, (0.1, 0.2, 0.3), rtol=1e-6)
+    restored = Keyframes(ImageStore(device=device))
+    restored.restore(keyframes.state(), lambda index: frame(None))
+    np.testing.assert_array_equal(restored.state()["fitted"]["T_cw"], keyframes.state()["fitted"]["T_cw"])
+    with pytest.raises(IndexError):
+        keyframes.pose(200)
 
 
 def test_readings_of_less_confidence_bind_the_map_less(device: str) -> None:
