@@ -34,7 +34,7 @@ ALLOWED: dict[str, set[str]] = {
     "objects": _MAP | {"io"},
     "datasets": _DEVICE | {"io"},
     "evaluation": _VALUES | {"map", "io"},
-    "pipeline.moving_pixels": _VALUES | {"runtime"},
+    "pipeline.moving_pixels": _DEVICE,
     "pipeline.tracking": _MAP | {"pipeline.moving_pixels"},
     "pipeline.loops": _MAP | {"pipeline.tracking"},
     "pipeline.mapping": _MAP | {"objects", "pipeline.moving_pixels"},

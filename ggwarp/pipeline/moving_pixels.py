@@ -9,16 +9,22 @@ as a person who walks by. One vote proves nothing: depth may be wrong.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
+import warp as wp
 from numpy.typing import NDArray
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
+from ggwarp.kernels.camera import intrinsics_of
+from ggwarp.kernels.registration.free_space import IN_PLACE, THROUGH, cast_votes
+from ggwarp.runtime.scratch import ScratchArrays
 from ggwarp.runtime.state import FrameSource, State, Stateful, state_value
+from ggwarp.runtime.streams import to_host
 from ggwarp.types import Float32, Float64, Frame
 
 Bools = NDArray[np.bool_]
@@ -37,6 +43,8 @@ _SAME_SIDE = 0.0
 """Cosine of the angle between two views' axes below which they are not compared: they show other sides."""
 _AGES = 8
 """Of the frames that testify to free space: up to 2^8 frames."""
+_AT_ONCE = 32
+"""Views of an earlier map that are looked at in one go: what bounds the memory."""
 _NEIGHBOURS = np.ones((3, 3), np.uint8)
 
 
@@ -47,7 +55,6 @@ class _Voter:
 
     number: int
     T_wc: Float64
-    points: Float32
     depth: Float32
     nearest: Float32
     through: NDArray[np.int16]
@@ -57,17 +64,49 @@ class _Voter:
         return (self.through >= _LEAST_VOTES) & (self.through > self.in_place)
 
 
-class MovingPixels(Stateful):
-    """Finds the pixels of views that show what moves.
+class _Ballot:
+    """Counts what views of ``camera`` say of each other's points, on ``device``."""
 
-    Attributes:
-        camera: of the views' depth.
-    """
+    def __init__(self, camera: Camera, device: Any) -> None:
+        self._camera, self._device = camera, device
+        self._scratch = ScratchArrays(device)
+
+    def vote(self, pairs: Sequence[tuple[_Voter, _Voter]]) -> None:
+        """Count for each (subject, witness) where the witness sees through its points, or finds them."""
+        if not pairs:
+            return
+        voters = {id(voter): voter for pair in pairs for voter in pair}
+        ranks = {key: rank for rank, key in enumerate(voters)}
+        depth, nearest = (
+            np.stack([getattr(voter, name) for voter in voters.values()]) for name in ("depth", "nearest")
+        )
+        who = np.array([(ranks[id(subject)], ranks[id(witness)]) for subject, witness in pairs], np.int32)
+        motions = np.array([se3.inverse(w.T_wc) @ s.T_wc for s, w in pairs], np.float32)
+        said = self._scratch.take("said", (len(pairs), *depth.shape[1:]), wp.uint8)
+        cast_votes(
+            self._scratch.upload("depth", depth, wp.float32),
+            self._scratch.upload("nearest", nearest, wp.float32),
+            self._scratch.upload("who", who, wp.int32),
+            self._scratch.upload("motions", motions, wp.float32),
+            intrinsics_of(self._camera),
+            stride=_stride(self._camera.height, self._camera.width),
+            tolerance=_TOLERANCE,
+            said=said,
+            device=self._device,
+        )
+        for (subject, _), word in zip(pairs, to_host(said), strict=True):
+            subject.through += word == THROUGH
+            subject.in_place += word == IN_PLACE
+
+
+class MovingPixels(Stateful):
+    """Finds the pixels of views that show what moves."""
 
     STATE = ("_recent",)
 
-    def __init__(self, camera: Camera) -> None:
-        self.camera = camera
+    def __init__(self, camera: Camera, *, device: Any = "cpu") -> None:
+        """Know no view yet; their depth is by ``camera``, and compared on ``device``."""
+        self._ballot = _Ballot(camera, device)
         self._recent: deque[_Voter] = deque(maxlen=_RECENT)
 
     def add(self, number: int, depth: Float32, T_wc: Float64) -> dict[int, Bools]:
@@ -81,10 +120,9 @@ class MovingPixels(Stateful):
         Returns:
             Number -> [h, w] the pixels that moved, of it and of those of the recent that have any.
         """
-        voter = _voter(self.camera, number, depth, T_wc)
-        for other in self._recent:
-            _vote(self.camera, other, voter)
-            _vote(self.camera, voter, other)
+        voter = _voter(number, depth, T_wc)
+        both_ways = [pair for other in self._recent for pair in ((other, voter), (voter, other))]
+        self._ballot.vote(both_ways)
         self._recent.append(voter)
         masks = {v.number: _whole(v.moved(), depth.shape) for v in self._recent}
         return {number: mask for number, mask in masks.items() if mask.any()}
@@ -98,14 +136,14 @@ class MovingPixels(Stateful):
 class GonePixels(Stateful):
     """Finds the pixels of older views that new ones see through: what was there has been taken away."""
 
-    def __init__(self, camera: Camera) -> None:
+    def __init__(self, camera: Camera, *, device: Any = "cpu") -> None:
         """Know no view yet; all are ``camera``'s."""
-        self._camera = camera
+        self._ballot = _Ballot(camera, device)
         self._views: list[_Voter] = []
 
     def begin(self, number: int, depth: Float32, T_wc: Float64) -> None:
         """Take in an older view, its number, depth [h, w], metres, 0 = none, and pose [4, 4]."""
-        self._views.append(_voter(self._camera, number, depth, T_wc))
+        self._views.append(_voter(number, depth, T_wc))
 
     def add(self, depth: Float32, T_wc: Float64) -> dict[int, Bools]:
         """Let a new view, ``depth`` [h, w] from ``T_wc`` [4, 4], vote on the older ones.
@@ -113,13 +151,13 @@ class GonePixels(Stateful):
         Returns:
             Number -> [h, w] the pixels that are gone, of those older ones where any are by this vote.
         """
-        witness, changed = _voter(self._camera, -1, depth, T_wc), dict[int, Bools]()
-        for view in self._views:
-            if view.T_wc[:3, 2] @ T_wc[:3, 2] < _SAME_SIDE:
-                continue
-            before = view.moved()
-            _vote(self._camera, view, witness)
-            if (view.moved() & ~before).any():
+        witness, changed = _voter(-1, depth, T_wc), dict[int, Bools]()
+        views = [view for view in self._views if view.T_wc[:3, 2] @ T_wc[:3, 2] >= _SAME_SIDE]
+        before = [view.moved() for view in views]
+        for some in range(0, len(views), _AT_ONCE):
+            self._ballot.vote([(view, witness) for view in views[some : some + _AT_ONCE]])
+        for view, moved in zip(views, before, strict=True):
+            if (view.moved() & ~moved).any():
                 changed[view.number] = _whole(view.moved(), depth.shape)
         return {number: pixels for number, pixels in changed.items() if pixels.any()}
 
@@ -145,9 +183,9 @@ class FreeSpace(Stateful):
 
     STATE = ("_witnesses", "_added")
 
-    def __init__(self, camera: Camera) -> None:
+    def __init__(self, camera: Camera, *, device: Any = "cpu") -> None:
         """Know nothing yet; frames' depth is by ``camera``."""
-        self._camera = camera
+        self._ballot = _Ballot(camera, device)
         self._witnesses: list[_Voter] = []
         self._added = 0
 
@@ -160,14 +198,13 @@ class FreeSpace(Stateful):
             depth: [h, w] metres, 0 = none.
             T_wc: [4, 4] its pose.
         """
-        view = _voter(self._camera, self._added, depth, T_wc)
-        for witness in self._witnesses:
-            _vote(self._camera, view, witness)
+        view = _voter(self._added, depth, T_wc)
+        self._ballot.vote([(view, witness) for witness in self._witnesses])
         return _whole(view.through > 0, depth.shape)
 
     def add(self, depth: Float32, T_wc: Float64) -> None:
         """Let the last frame, ``depth`` [h, w] from ``T_wc`` [4, 4], testify from now on."""
-        self._witnesses.append(_voter(self._camera, self._added, depth, T_wc))
+        self._witnesses.append(_voter(self._added, depth, T_wc))
         self._added += 1
         # Of 2^k frames between ages 2^k and 2^(k + 1) one number is a multiple of 2^k.
         ages = [(w, (self._added - w.number).bit_length() - 1) for w in self._witnesses]
@@ -179,30 +216,14 @@ class FreeSpace(Stateful):
             witness.T_wc = motion @ witness.T_wc
 
 
-def _voter(camera: Camera, number: int, depth: Float32, T_wc: Float64) -> _Voter:
-    depth = np.where(np.isfinite(depth), depth, np.float32(0))
-    h, w = depth.shape
-    stride = _stride(h, w)
-    rows, columns = np.mgrid[0:h:stride, 0:w:stride]
+def _voter(number: int, depth: Float32, T_wc: Float64) -> _Voter:
+    stride = _stride(*depth.shape)
     few = np.ascontiguousarray(depth[::stride, ::stride])
+    few = np.where(np.isfinite(few), few, np.float32(0))
     # The nearest of the neighbours: 0, no evidence, where any has no depth.
     nearest = np.asarray(cv2.erode(few, _NEIGHBOURS), np.float32)
-    points = camera.back_project(columns, rows, few).astype(np.float32)
     votes = np.zeros(few.shape, np.int16)
-    return _Voter(number, T_wc, points, few, nearest, votes, votes.copy())
-
-
-def _vote(camera: Camera, subject: _Voter, witness: _Voter) -> None:
-    """Count where ``witness`` sees through the points of ``subject``, and where they are in place."""
-    T = (se3.inverse(witness.T_wc) @ subject.T_wc).astype(np.float32)
-    points = subject.points @ T[:3, :3].T + T[:3, 3]
-    rows, columns, inside = camera.pixels_of(points)
-    stride = _stride(camera.height, camera.width)
-    rows, columns = rows // stride, columns // stride
-    known = inside & (subject.depth > 0.0)
-    z = points[..., 2]
-    subject.through += known & (witness.nearest[rows, columns] > z * (1.0 + _TOLERANCE))
-    subject.in_place += known & (np.abs(witness.depth[rows, columns] - z) < _TOLERANCE * z)
+    return _Voter(number, T_wc, few, nearest, votes, votes.copy())
 
 
 def _stride(height: int, width: int) -> int:

@@ -3,8 +3,8 @@
 
     python -m gpu_day.frame_profile FOLDER [--preset gg-slam] [--warm 12] [--frames 8] [--device cuda:0]
 
-Frames are tracked and mapped in turn: first timed as they are, then with Python's profiler (whose own cost is in
-its figures), and last with recordings taken apart, so that each kernel is timed by itself.
+Frames are tracked and mapped in turn: first timed as they are, then with Python's profiler (whose own cost
+is in its figures), and last with recordings taken apart, so that each kernel is timed by itself.
 """
 
 from __future__ import annotations

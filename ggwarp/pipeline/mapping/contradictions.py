@@ -42,7 +42,7 @@ class Contradictions(Stateful):
         """Know no view yet; those of ``camera`` become ``keyframes``."""
         self._map, self._keyframes, self._camera, self._submaps = gaussians, keyframes, camera, submaps
         self._grid = PixelGrid.of(camera)
-        self._moving = MovingPixels(camera)
+        self._moving = MovingPixels(camera, device=gaussians.device)
         self._earlier = EarlierViews(gaussians, keyframes, camera)
         self.left_out = {"pictures_left_out": 0, "pixels_left_out": 0, "keyframe_pixels": 0}
 

@@ -25,7 +25,7 @@ class EarlierViews(Stateful):
     def __init__(self, gaussians: GaussianMap, keyframes: Keyframes, camera: Camera) -> None:
         """Know no view yet; those of ``camera`` become ``keyframes``, before any new one."""
         self._map, self._keyframes, self._camera = gaussians, keyframes, camera
-        self._gone = GonePixels(camera)
+        self._gone = GonePixels(camera, device=gaussians.device)
 
     def add(self, view: Frame, T_wc: Float64) -> None:
         """Take in the last keyframe: a ``view`` of the earlier map from ``T_wc`` [4, 4]."""

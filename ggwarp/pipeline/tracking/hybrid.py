@@ -70,7 +70,7 @@ class HybridTracker(Stateful):
         self._gicp = GicpTracker(gicp, sensor_camera, device=device)
         self._views = ReferenceViews(camera, device=device)
         self._cost = _MAX_COST
-        self._free_space = FreeSpace(camera)
+        self._free_space = FreeSpace(camera, device=device)
 
     def start(self, frame: Frame, T_wc: Float64) -> TrackResult:
         """Take the first frame, whose pose [4, 4] is given."""
