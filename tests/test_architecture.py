@@ -33,7 +33,7 @@ ALLOWED: dict[str, set[str]] = {
     "io": _VALUES | {"map"},
     "objects": _MAP | {"io"},
     "datasets": _DEVICE | {"io"},
-    "evaluation": _VALUES | {"map", "io"},
+    "evaluation": _VALUES | {"runtime", "map", "io"},
     "pipeline.moving_pixels": _DEVICE,
     "pipeline.tracking": _MAP | {"pipeline.moving_pixels"},
     "pipeline.loops": _MAP | {"pipeline.tracking"},

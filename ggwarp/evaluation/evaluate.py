@@ -8,8 +8,9 @@ pose, is rendered there and counts like any other.
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Callable, Iterable
+from collections import defaultdict, deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
 from typing import Literal
 
@@ -18,10 +19,13 @@ import numpy as np
 from ggwarp.evaluation import image
 from ggwarp.evaluation.lpips import Lpips
 from ggwarp.evaluation.objects import ObjectFigures, ObjectRow, ObjectScore
+from ggwarp.runtime.launch import cpu_threads
 from ggwarp.types import Float32, Float64, Frame, Rendered
 
 Reference = Literal["truth", "given"]
 
+_MOST_THREADS = 4
+"""Views wait to be scored in memory, some tens of MB each."""
 _MEASURES = ("psnr", "psnr_exposed", "ssim", "lpips", "depth_l1_cm")
 
 
@@ -108,11 +112,7 @@ def evaluate(
     taught = used | set(watched)
     scores: list[FrameScore] = []
     objects: dict[tuple[Reference, bool], ObjectScore] = defaultdict(ObjectScore)
-    for frame in frames:
-        if frame.index not in poses:
-            continue
-        view = render(poses[frame.index])
-        score = _score(frame, view, frame.index not in used, lpips)
+    for frame, view, score in _scored(frames, poses, render, used, lpips):
         scores.append(score)
         reference: Reference = "given" if frame.true_mask is None else "truth"
         given = frame.mask if frame.native_mask is None else frame.native_mask
@@ -131,6 +131,29 @@ def evaluate(
         miou_against=against if all_objects else None,
         objects=all_objects.table(),
     )
+
+
+def _scored(
+    frames: Iterable[Frame],
+    poses: dict[int, Float64],
+    render: Callable[[Float64], Rendered],
+    used: set[int],
+    lpips: Lpips | None,
+) -> Iterator[tuple[Frame, Rendered, FrameScore]]:
+    """Yield each frame that has a pose, its view and its score; some are scored while more are rendered."""
+    threads = min(_MOST_THREADS, cpu_threads())
+    waiting: deque[tuple[Frame, Rendered, Future[FrameScore]]] = deque()
+    with ThreadPoolExecutor(threads, thread_name_prefix="ggwarp-score") as pool:
+        for frame in frames:
+            if frame.index not in poses:
+                continue
+            view = render(poses[frame.index])
+            waiting.append((frame, view, pool.submit(_score, frame, view, frame.index not in used, lpips)))
+            if len(waiting) > threads:
+                done, seen, score = waiting.popleft()
+                yield done, seen, score.result()
+        for done, seen, score in waiting:
+            yield done, seen, score.result()
 
 
 def _score(frame: Frame, view: Rendered, held_out: bool, lpips: Lpips | None) -> FrameScore:

@@ -28,10 +28,10 @@ class PixelGrid:
     step: int
 
     @staticmethod
-    def of(camera: Camera) -> PixelGrid:
-        """Return the grid for the pictures of ``camera``."""
+    def of(camera: Camera, enough: int = _ENOUGH) -> PixelGrid:
+        """Return the grid for the pictures of ``camera`` with some ``enough`` pixels, not fewer."""
         width, height = camera.width, camera.height
-        step = max(1, int((height * width / _ENOUGH) ** 0.5))
+        step = max(1, int((height * width / enough) ** 0.5))
         first = step // 2
         few = Camera(
             len(range(first, width, step)),

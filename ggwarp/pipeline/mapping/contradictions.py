@@ -24,6 +24,9 @@ from ggwarp.runtime.state import Stateful
 from ggwarp.runtime.streams import to_host
 from ggwarp.types import Float64, Frame
 
+_ENOUGH = 12_500
+"""Pixels that say whether half a picture is of no use: shares are known to half a percent."""
+
 _log = logging.getLogger(__name__)
 
 
@@ -41,7 +44,7 @@ class Contradictions(Stateful):
     ) -> None:
         """Know no view yet; those of ``camera`` become ``keyframes``."""
         self._map, self._keyframes, self._camera, self._submaps = gaussians, keyframes, camera, submaps
-        self._grid = PixelGrid.of(camera)
+        self._grid = PixelGrid.of(camera, _ENOUGH)
         self._moving = MovingPixels(camera, device=gaussians.device)
         self._earlier = EarlierViews(gaussians, keyframes, camera)
         self.left_out = {"pictures_left_out": 0, "pixels_left_out": 0, "keyframe_pixels": 0}
