@@ -105,9 +105,7 @@ def _allocate_planes(height: int, width: int, device: Any) -> ssim_planes.PlaneW
         shape = (count, height + 2 * ssim.REACH, width + 2 * ssim.REACH)
         return wp.zeros(shape, dtype=float, device=device)
 
-    partials, bins = (
-        wp.zeros(n, dtype=wp.vec4, device=device) for n in (height * width, sum(ssim_planes.BINS))
-    )
+    partials, bins = (wp.zeros(n, dtype=wp.vec4, device=device) for n in (height * width, ssim_planes.BINS))
     return ssim_planes.PlaneWorkspace(planes(6), planes(15), planes(9), partials, bins)
 
 

@@ -74,11 +74,19 @@ def _colours_kernel(
 
 @wp.kernel
 def _clear_padding_kernel(height: int, width: int, planes: int, d_image: wp.array3d[wp.float32]):
-    row = wp.tid()
-    begin = wp.where(row < height, width, 0)
-    for column in range(begin, d_image.shape[2]):
-        for c in range(planes):
-            d_image[c, row, column] = 0.0
+    """A thread a pixel of the padding: beside the picture first, then below it."""
+    item = wp.tid()
+    beside = d_image.shape[2] - width
+    row, column = int(0), int(0)
+    if item < height * beside:
+        row = item / beside
+        column = width + item - row * beside
+    else:
+        left = item - height * beside
+        row = height + left / d_image.shape[2]
+        column = left % d_image.shape[2]
+    for c in range(planes):
+        d_image[c, row, column] = 0.0
 
 
 @wp.kernel
@@ -173,6 +181,5 @@ def rgbd_loss(
         counts=depth if mask_colour else None,
     )
     planes = 4 if with_depth else 3
-    wp.launch(
-        _clear_padding_kernel, dim=d_image.shape[1], inputs=[height, width, planes, d_image], device=device
-    )
+    padding = d_image.shape[1] * d_image.shape[2] - height * width
+    wp.launch(_clear_padding_kernel, dim=padding, inputs=[height, width, planes, d_image], device=device)

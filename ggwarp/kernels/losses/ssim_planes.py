@@ -12,11 +12,12 @@ from typing import Any
 import warp as wp
 
 from ggwarp.kernels.losses.ssim import C1, C2, REACH, TAPS
+from ggwarp.runtime.launch import block_size
 
 wp.set_module_options({"enable_backward": False})
 
-BINS = (8192, 64)
-"""Sums that partial sums are folded to, one after the other, before a single thread adds them."""
+BINS = 8192
+"""Sums that partial sums are folded to, before a single block adds them."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,7 @@ class PlaneWorkspace:
         blurred: [15] planes: means along rows, five of each channel; then of the slopes.
         slopes: [9] planes: of SSIM by the windows' means of x, of x^2 and of x y, for each channel.
         partials: [H W] vec4, partial sums.
-        bins: [sum(BINS)] vec4.
+        bins: [BINS] vec4.
     """
 
     colours: Any
@@ -203,11 +204,15 @@ def _fold_kernel(count: int, stride: int, values: wp.array[wp.vec4], bins: wp.ar
 
 @wp.kernel
 def _finish_kernel(used: int, scales: wp.vec4, bins: wp.array[wp.vec4], losses: wp.array[float]):
+    """A block; on a CPU its only thread."""
+    _, thread = wp.tid()
     total = wp.vec4()
-    for i in range(used):
+    for i in range(thread, used, wp.block_dim()):
         total += bins[i]
     for k in range(4):
-        losses[k] = total[k] * scales[k]
+        of_block = wp.tile_sum(wp.tile(total[k]))
+        if thread == 0:
+            losses[k] = of_block[0] * scales[k]
 
 
 def compare_colours(*, height: int, width: int, losses: Any, workspace: PlaneWorkspace, device: Any) -> None:
@@ -227,14 +232,14 @@ def compare_colours(*, height: int, width: int, losses: Any, workspace: PlaneWor
         outputs=[w.slopes, w.partials],
         device=device,
     )
-    values, count, begin = w.partials, pixels, 0
-    for size in BINS:
-        used, bins = min(size, count), w.bins[begin : begin + size]
-        wp.launch(_fold_kernel, dim=used, inputs=[count, used, values], outputs=[bins], device=device)
-        values, count, begin = bins, used, begin + size
+    used = min(BINS, pixels)
+    wp.launch(_fold_kernel, dim=used, inputs=[pixels, used, w.partials], outputs=[w.bins], device=device)
     n = 1.0 / pixels
     scales = wp.vec4(n / 3.0, n / 3.0, n, n)
-    wp.launch(_finish_kernel, dim=1, inputs=[count, scales, values], outputs=[losses], device=device)
+    block = block_size(_finish_kernel)
+    wp.launch_tiled(
+        _finish_kernel, dim=1, inputs=[used, scales, w.bins], outputs=[losses], block_dim=block, device=device
+    )
 
 
 def compare_adjoint(

@@ -29,12 +29,14 @@ def test_planes_agree_with_pixels(rng, height, width):
     np.testing.assert_allclose(planes[1], pixels[1], rtol=1e-4, atol=1e-6 * np.abs(pixels[1]).max())
 
 
-def test_sums_are_folded_in_as_many_steps_as_there_are_pixels_for(rng):
-    """More pixels than the first step has sums: each is counted once."""
+@pytest.mark.parametrize("in_blocks", [False, True])
+def test_sums_are_folded_in_two_steps(rng, monkeypatch, in_blocks):
+    """More pixels than the first step has sums: each is counted once, by one thread or a block of them."""
+    monkeypatch.setattr(wp.config, "enable_cpu_blocks", in_blocks)
     height, width = 96, 100
     x = wp.array(rng.random((3, height, width)), dtype=float, device="cpu")
     y = wp.zeros_like(x)
     workspace = allocate_loss(height, width, device="cpu", by_rows=False)
-    assert height * width > ssim_planes.BINS[0]
+    assert height * width > ssim_planes.BINS
     losses, _ = evaluate(ssim_planes, workspace, x, y, "cpu")
     assert losses[0] == pytest.approx(x.numpy().mean(), rel=1e-6)
