@@ -52,7 +52,9 @@ class PixelGrid:
         """Return a picture of ``shape``: what grid pixels have, ``image`` [gh, gw], each in its block."""
         if self.step == 1:
             return image
-        (height, width), whole = shape, image.repeat(self.step, axis=0).repeat(self.step, axis=1)
         # What is left over goes with the last block.
-        over = (0, max(height - whole.shape[0], 0)), (0, max(width - whole.shape[1], 0))
-        return np.pad(whole, over, mode="edge")[:height, :width]
+        rows, columns = (
+            np.minimum(np.arange(size) // self.step, count - 1)
+            for size, count in zip(shape, image.shape, strict=False)
+        )
+        return image.take(columns, axis=1).take(rows, axis=0)

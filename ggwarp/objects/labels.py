@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import cv2
@@ -52,6 +53,33 @@ def from_png(data: NDArray[np.uint8], shape: tuple[int, ...]) -> Labels:
     if picture is None or picture.dtype != np.uint16:
         raise ValueError("labels are no 16-bit image")
     return np.asarray(picture, np.int32) + _UNKNOWN
+
+
+def as_runs(labels: Labels) -> NDArray[np.uint16]:
+    """Return the runs along rows of ``labels`` [h, w] of -1 to 65534: [2, k] label + 1, and length.
+
+    A tenth of the time that a PNG takes, at several times its size.
+    """
+    begins = np.ones(labels.shape, bool)
+    begins[:, 1:] = labels[:, 1:] != labels[:, :-1]
+    at = np.flatnonzero(begins)
+    return np.stack([labels.ravel()[at] - _UNKNOWN, np.diff(at, append=labels.size)]).astype(np.uint16)
+
+
+def from_runs(
+    runs: NDArray[np.uint16],
+    shape: tuple[int, ...],
+    change: Callable[[Labels], Labels] = lambda labels: labels,
+) -> Labels:
+    """Return the labels [h, w] of :func:`as_runs`, each as ``change`` has it.
+
+    Raises:
+        ValueError: they are no such runs, or of another ``shape``.
+    """
+    labels, lengths = runs[0].astype(np.int32) + np.int32(_UNKNOWN), runs[1].astype(np.intp)
+    if lengths.sum() != shape[0] * shape[1] or lengths.min(initial=0) < 0:
+        raise ValueError(f"labels of {lengths.sum()} pixels, but the image has {shape[1]}x{shape[0]}")
+    return np.repeat(change(labels), lengths).reshape(shape[:2])
 
 
 def filled(labels: Labels) -> Labels:

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ggwarp.objects.labels import ranked
 from ggwarp.types import Float32
 
 Picture = NDArray[np.uint8]
@@ -50,8 +51,8 @@ def object_colour(identifier: int) -> tuple[int, int, int]:
 
 def objects_in_colours(ids: NDArray[Any], rgb: Float32) -> Picture:
     """Return objects [h, w] in their colours over the brightness of ``rgb`` [h, w, 3] in 0..1."""
-    known, rows = np.unique(ids, return_inverse=True)
-    paint = np.array([object_colour(int(i)) for i in known], np.float32)[rows.reshape(ids.shape)] / 255.0
+    known, rows = ranked(ids)
+    paint = np.array([object_colour(int(i)) for i in known], np.float32)[rows] / 255.0
     grey = (rgb @ np.array([0.299, 0.587, 0.114], np.float32))[..., None]
     return to_bytes(_PAINT * paint + (1.0 - _PAINT) * grey)
 

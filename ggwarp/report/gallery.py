@@ -11,10 +11,10 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from ggwarp.io.atomic import atomic_write
+from ggwarp.objects.labels import ranked
 from ggwarp.report.colours import (
     Picture,
     depth_in_colours,
@@ -116,15 +116,16 @@ def _pictures(frame: Frame, view: Rendered) -> dict[str, bytes]:
 
 def _boxes(ids: np.ndarray) -> dict[int, tuple[tuple[int, int], tuple[int, int], float]]:
     """Return id -> its rows, columns (begin, end) and pixels."""
-    known, numbers = np.unique(ids, return_inverse=True)
-    numbers = numbers.reshape(ids.shape)
-    areas = np.bincount(numbers.ravel(), minlength=len(known))
-    found = {}
-    for number, identifier in enumerate(known.tolist()):
-        if identifier > 0 and areas[number] >= _LEAST_AREA:
-            x, y, w, h = cv2.boundingRect((numbers == number).astype(np.uint8))
-            found[identifier] = ((y, y + h), (x, x + w), float(areas[number]))
-    return found
+    from scipy.ndimage import find_objects  # heavy, and not needed before a run has ended
+
+    known, numbers = ranked(ids)
+    areas = np.bincount(numbers.ravel(), minlength=len(known)).tolist()
+    places = find_objects(numbers.astype(np.int32) + 1, max_label=len(known))
+    return {
+        identifier: ((rows.start, rows.stop), (columns.start, columns.stop), float(area))
+        for identifier, (rows, columns), area in zip(known.tolist(), places, areas, strict=True)
+        if identifier > 0 and area >= _LEAST_AREA
+    }
 
 
 def _crop(rgb: Float32, rows: tuple[int, int], columns: tuple[int, int]) -> Picture:

@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from ggwarp.objects.labels import contingency, filled, ranked, solid
+from ggwarp.objects.labels import as_runs, contingency, filled, from_runs, ranked, solid
 
 
 def test_pairs_of_known_labels_are_counted() -> None:
@@ -38,3 +41,24 @@ def test_values_are_ranked_as_numpy_does(rng: np.random.Generator) -> None:
         values = rng.integers(-3, 4, shape) * 10**12
         distinct, ranks = ranked(values)
         assert np.array_equal(distinct, np.unique(values)) and np.array_equal(distinct[ranks], values)
+
+
+@given(st.integers(1, 9), st.integers(1, 40), st.integers(0, 2**32 - 1))
+def test_runs_are_the_labels_again(height: int, width: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    labels = rng.choice(np.array([-1, 0, 7, 65534], np.int32), (height, width))
+    runs = as_runs(labels)
+    assert runs.dtype == np.uint16 and (runs[1] <= width).all(), "a run ends with its row"
+    np.testing.assert_array_equal(from_runs(runs, labels.shape), labels)
+    table = np.array([5, -1, 3], np.int32)
+    small = rng.integers(-1, 2, (height, width)).astype(np.int32)
+    np.testing.assert_array_equal(
+        from_runs(as_runs(small), small.shape, lambda run: table[run]), table[small]
+    )
+
+
+@pytest.mark.parametrize("shape", [(3, 5), (4, 4), (2, 12)])
+def test_runs_of_another_picture_are_refused(shape: tuple[int, int]) -> None:
+    runs = as_runs(np.zeros((4, 5), np.int32))
+    with pytest.raises(ValueError, match=f"{shape[1]}x{shape[0]}"):
+        from_runs(runs, shape)

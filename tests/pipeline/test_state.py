@@ -37,6 +37,8 @@ SCRATCH = {
     "Renderer._thinned",
     "Seeder._workspace",
     "GicpTracker._scratch",
+    "_Ballot._scratch",
+    "_Part.diameter",
     "Sample.phase",
     "GaussianOptimiser._workspace",
     "ExposureModel._workspace",

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations
 from typing import Any
 
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from ggwarp.geometry.boxes import linked_parts
 from ggwarp.geometry.voxels import voxel_centres, voxel_keys
 from ggwarp.objects.class_table import IGNORED, ClassTable
-from ggwarp.objects.labels import solid
+from ggwarp.objects.labels import ranked, solid
 from ggwarp.objects.masks.mask_view import MaskView
 from ggwarp.runtime.state import Stateful, state_value
 from ggwarp.types import Float64
@@ -54,7 +55,7 @@ class _Part:
     index: int | None = None
     views: int = 1
 
-    @property
+    @cached_property
     def diameter(self) -> float:
         """Metres."""
         return float(np.linalg.norm(np.ptp(voxel_centres(self.voxels, _VOXEL), axis=0) + _VOXEL))
@@ -70,6 +71,7 @@ class _Part:
         return float(self.distances(voxel_centres(other.voxels, _VOXEL)).min())
 
     def take(self, other: _Part) -> None:
+        self.__dict__.pop("diameter", None)  # it grows
         self.voxels = np.union1d(self.voxels, other.voxels)
         self.views += 1
 
@@ -138,10 +140,12 @@ class SharedIdSplitter(Stateful):
             known = mask.knowledge.known
             pixels &= (known < 0) | (self._classes.id_owners(known) == given)
         least = _LEAST_AREA * given.size
-        labels = given[pixels]
-        voxels = voxel_keys(surface.places[pixels], _VOXEL)
-        for label in np.unique(labels).tolist():
-            places, counts = np.unique(voxels[labels == label], return_counts=True)
+        places_seen, ranks = ranked(voxel_keys(surface.places[pixels], _VOXEL))
+        numbers = max(len(places_seen), 1)
+        pairs, pixels_of = np.unique(given[pixels].astype(np.int64) * numbers + ranks, return_counts=True)
+        labels, begins = np.unique(pairs // numbers, return_index=True)
+        for label, own in zip(labels.tolist(), np.split(np.arange(len(pairs)), begins[1:]), strict=False):
+            places, counts = places_seen[pairs[own] % numbers], pixels_of[own]
             for members in self._parts_of(places):
                 if counts[members].sum() >= least:
                     yield label, _Part(places[members])

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ggwarp.geometry.pixel_grid import PixelGrid
 from ggwarp.objects.class_table import ClassTable
-from ggwarp.objects.labels import Labels, as_png, from_png
+from ggwarp.objects.labels import Labels, as_runs, from_runs
 from ggwarp.objects.masks.label_grid import changed
 from ggwarp.runtime.state import Stateful
 
@@ -24,13 +24,13 @@ class KeyframeLabels(Stateful):
         """Remember nothing yet; ``classes`` says which are one object."""
         self._classes = classes
         self._grid = grid
-        self._given: dict[int, NDArray[np.uint8]] = {}
+        self._given: dict[int, NDArray[np.uint16]] = {}
         self._learnt: dict[int, int] = {}  # checksums
 
     def keep(self, index: int, labels: Labels) -> None:
         """Remember what frame ``index`` shows, [h, w] the class of each pixel; negative: not known."""
         if self._grid.step > 1:
-            self._given[index] = as_png(labels)
+            self._given[index] = as_runs(labels)
 
     def relabelled(self, index: int, few: Labels, shape: tuple[int, ...]) -> Labels | None:
         """Return what frame ``index`` is to be fitted to by now; None: what it is fitted to already.
@@ -45,4 +45,4 @@ class KeyframeLabels(Stateful):
         self._learnt[index] = checksum
         if self._grid.step == 1:
             return few
-        return changed(self._grid, self._classes.merged(from_png(self._given[index], shape)), few)
+        return changed(self._grid, from_runs(self._given[index], shape, self._classes.merged), few)

@@ -7,6 +7,8 @@ the mask's own.
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 
 from ggwarp.geometry.pixel_grid import PixelGrid
@@ -18,10 +20,20 @@ def changed(grid: PixelGrid, whole: Labels, few: Labels) -> Labels:
     """Return labels ``whole`` [h, w], as ``few`` [gh, gw] has them in the blocks where these differ."""
     if grid.step == 1:
         return few
-    differs = grid.thinned(whole) != few
-    if not differs.any():
+    rows, columns = np.nonzero(grid.thinned(whole) != few)
+    if not len(rows):
         return whole
-    return np.where(grid.spread(differs, whole.shape), grid.spread(few, whole.shape), whole)
+    out, labels = whole.copy(), few[rows, columns]
+    # Pixel by pixel of the blocks: what is left over goes with the last of a row or column.
+    ends = [
+        np.where(at == count - 1, size, np.minimum((at + 1) * grid.step, size))
+        for at, count, size in zip((rows, columns), few.shape, whole.shape, strict=True)
+    ]
+    for down, right in product(range(grid.step + grid.step // 2), repeat=2):
+        y, x = rows * grid.step + down, columns * grid.step + right
+        inside = (y < ends[0]) & (x < ends[1])
+        out[y[inside], x[inside]] = labels[inside]
+    return out
 
 
 def of_mask(grid: PixelGrid, few: Labels, mask: Labels) -> Labels:
