@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,16 +12,15 @@ from typing import Any
 
 import pytest
 
-_NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-_SOFTWARE_WEBGL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+import browsing
+from browsing import PATIENCE as PATIENCE
+
 _CONSOLE = re.compile(r"CONSOLE[^\]]*\]\s*(.*)")
-PATIENCE = 120_000.0
-"""Milliseconds: a busy machine draws a picture of WebGL in many seconds."""
 
 
 def find_browser() -> str:
     """Return the path of a Chromium; skip the test where there is none."""
-    found = next((path for name in _NAMES if (path := shutil.which(name))), None)
+    found = browsing.find_browser()
     if found is None:
         pytest.skip("no browser: apt-get install chromium")
     return found
@@ -32,16 +30,9 @@ def find_browser() -> str:
 def open_browser(width: int = 1280, height: int = 800) -> Iterator[Any]:
     """Yield a page of Playwright's, of this size, which draws WebGL on the CPU."""
     path = find_browser()
-    playwright = pytest.importorskip("playwright.sync_api", reason="no playwright: pip install playwright")
-    with playwright.sync_playwright() as driver:
-        arguments = [*_SOFTWARE_WEBGL, "--no-sandbox"]
-        browser = driver.chromium.launch(executable_path=path, args=arguments)
-        try:
-            page = browser.new_page(viewport={"width": width, "height": height})
-            page.context.set_default_timeout(PATIENCE)
-            yield page
-        finally:
-            browser.close()
+    pytest.importorskip("playwright.sync_api", reason="no playwright: pip install playwright")
+    with browsing.open_browser(path, width, height) as page:
+        yield page
 
 
 def opened(page: Path, folder: Path) -> tuple[str, list[str]]:
