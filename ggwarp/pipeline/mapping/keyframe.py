@@ -215,6 +215,8 @@ class Keyframes(Sequence[Keyframe], Stateful):
 
         In a view of an earlier map nothing is told of objects there, either: they are gone.
         """
+        if not pixels.any():
+            return 0
         key = number, "depth"
         array = self._images.get(key)
         depth = to_host(array)
