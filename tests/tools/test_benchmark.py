@@ -305,7 +305,14 @@ def test_every_subcommand_has_its_plot(tmp_path: Path):
         Section(system.QUALITY, [{**named, "PSNR": 30.0}]),
     ]
     sections = {"tracking": [Section(tracking.BESIDE, beside), growth], "scaling": [*scales, growth]}
-    columns = ("resident MB", "images in memory MB", "in the file MB", "Gaussians", "trackable points")
+    columns = (
+        "resident MB",
+        "images in memory MB",
+        "in the file MB",
+        "Gaussians",
+        "Gaussians in memory",
+        "trackable points",
+    )
     course = [dict.fromkeys(("frames", *columns, "tracking ms", "mapping ms"), k) for k in (10, 20)]
     sections |= {"system": runs, "memory": [Section(memory.COURSE, course)]}
     for name, content in sections.items():

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from benchmarking.endurance import memory
 from benchmarking.endurance.walk import Walk
 from benchmarking.options import BenchmarkError
+from benchmarking.record import Record, Section
 from ggwarp.datasets import SyntheticOffice
 from ggwarp.datasets.reader import FrameReader
 from ggwarp.types import Frame
@@ -70,14 +72,23 @@ def test_checks_look_at_what_comes_after_the_second_round() -> None:
     assert memory.checks(rows[:2], period=20)[1].met is None, "too short to say"
 
 
+def section_of(record: Record) -> Section:
+    section = record.section(memory.COURSE)
+    assert section is not None
+    return section
+
+
 def test_a_walk_is_measured(tmp_path: Path) -> None:
     options = memory.MemoryOptions(device="cpu", frames=7, length=4, scale=0.1, memory=0.0, data=tmp_path)
     record = memory.run(options)
-    section = record.section(memory.COURSE)
-    assert section is not None and [row["frames"] for row in section.rows] == list(range(1, 8))
+    section = section_of(record)
+    assert [row["frames"] for row in section.rows] == list(range(1, 8))
     last = section.rows[-1]
     assert last["Gaussians"] > 1000 and last["keyframes"] > 1 and last["lost"] == 0
     assert last["in the file MB"] > 0.0 and last["images in memory MB"] < 0.5 < last["resident MB"]
     assert record.settings["image"] == "120x68" and "width" not in last
+    bounded = dataclasses.replace(options, map_memory=0.0, points=900, minutes=0.0)
+    [row] = section_of(memory.run(bounded)).rows
+    assert row["frames"] == 1 and row["Gaussians in memory"] == row["Gaussians"], "all of it is in view"
     with pytest.raises(BenchmarkError, match="at least 3"):
         memory.run(memory.MemoryOptions(device="cpu", length=2, data=tmp_path))

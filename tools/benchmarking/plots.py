@@ -135,7 +135,7 @@ def _memory(plt: Any, record: Record) -> Any:
     figure, axes = plt.subplots(1, 3, figsize=(13, 4))
     panels = {
         "MB": ("resident MB", "images in memory MB", "in the file MB"),
-        "in the map": ("Gaussians", "trackable points"),
+        "in the map": ("Gaussians", "Gaussians in memory", "trackable points"),
         "CPU ms a frame": ("tracking ms", "mapping ms"),
     }
     for panel, (unit, columns) in zip(axes, panels.items(), strict=True):
