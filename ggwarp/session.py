@@ -212,11 +212,11 @@ class Session:
 
         Not after an interrupted or failed run. A failure is kept in the record.
         """
-        iterations, record = self.config.refine, self.record
-        if record.refine_iterations < iterations and self._slam.can_refine and not self._ended:
-            self._display.stage("refining", iterations - record.refine_iterations)
+        asked, record = self.config.refine, self.record
+        if record.refine_iterations < asked and self._slam.can_refine and not self._ended:
+            self._display.stage("refining", asked - record.refine_iterations)
             started = time.perf_counter() - record.refine_s
-            while record.refine_iterations < iterations and not self._stopped:
+            while record.refine_iterations < asked and not self._stopped:
                 try:
                     with self._interruption.breakable():
                         self._slam.refine()
@@ -234,14 +234,14 @@ class Session:
                     self._checkpoints.write_now()
             if self._interruption.number == signal.SIGINT:
                 self._interruption.forget()
-                done = f"{record.refine_iterations} of {iterations} iterations"
-                self._display.note(f"refinement ended after {done}")
+                self._display.note(f"refinement ended after {record.refine_iterations} of {asked} iterations")
         if record.failure is not None:  # said first: what follows may fail for the same reason
             self._saver.failed(str(record.failure), record.failure.__cause__ or record.failure)
         self._checkpoints.write_now()
-        record.correct(self._slam.fitted_poses(), self._slam.keyframe_indices)
         if not self._ended:
             self._saver.judge(self.config.slam.gicp.far if self._dataset.has_depth else None)
+            self._saver.attempt("fitting what was out of memory", self._slam.finish)
+        record.correct(self._slam.fitted_poses(), self._slam.keyframe_indices)
 
     def save(self) -> None:
         """Write all but what comes of comparing pictures; a part that fails is said, the rest is written."""

@@ -51,11 +51,14 @@ class Submaps(Stateful):
     """Keeps of a map on the device what is in view, and of the rest what the budget has room for.
 
     Who writes the map or looks at it calls :meth:`show` before, from where it looks.
+
+    Attributes:
+        visited: the keyframes that :meth:`visit` was last called with.
     """
 
     STATE = (
         "_submaps", "_submap_of", "_poses", "_reaches", "_views", "_looked_through", "_owners",
-        "_view", "_visited",
+        "_view", "visited",
     )  # fmt: skip
 
     def __init__(self, gaussians: GaussianMap, camera: Camera, budget: MapBudget | None = None) -> None:
@@ -73,7 +76,7 @@ class Submaps(Stateful):
         self._submap_of = np.zeros(0, np.int32)  # by keyframe, as the next two
         self._poses, self._reaches = np.zeros((0, 4, 4)), np.zeros((0, ROWS, COLUMNS), np.float32)
         self._views, self._looked_through, self._told = 0, -1, False
-        self._view, self._visited = (np.eye(4), same_reach(0.0)), list[int]()
+        self._view, self.visited = (np.eye(4), same_reach(0.0)), list[int]()
         self._owners = np.zeros(0, np.int32)  # by Gaussian on the device, when they were looked through
         self._changed()
 
@@ -180,8 +183,8 @@ class Submaps(Stateful):
 
     def visit(self, keyframes: Iterable[int]) -> None:
         """Bring all that some keyframes see to the device, where it stays until the next visit."""
-        self._visited = list(keyframes)
-        for keyframe in self._visited:
+        self.visited = list(keyframes)
+        for keyframe in self.visited:
             self.hold_view(keyframe)
         self._make_room()
 
@@ -270,7 +273,7 @@ class Submaps(Stateful):
             return
         self._look_through()
         # The newest keyframe is fitted next, wherever the camera looks meanwhile.
-        needed = self._in_view(*self._view) | self._seen_by([*self._visited, len(self._poses) - 1])
+        needed = self._in_view(*self._view) | self._seen_by([*self.visited, len(self._poses) - 1])
         others = [n for n, s in enumerate(self._submaps) if not s.parked and n not in needed]
         for number in sorted(others, key=lambda n: self._submaps[n].seen):
             if self._map.count > most:

@@ -141,7 +141,7 @@ class Slam:
         started = time.perf_counter()
         self._move(tracked)
         tracked = self._insert(tracked)
-        iterations = self._bootstrap(tracked) + self._fit(waiting)
+        iterations = self._fit(tracked, waiting)
         loss = self._synchronise(tracked)
         seconds = time.perf_counter() - started
         return self._report(tracked, seconds, iterations, loss)
@@ -210,6 +210,10 @@ class Slam:
         """Fit the map once more, without a new frame."""
         self._mapper.iterate()
         self._mapper.synchronise()
+
+    def finish(self) -> None:
+        """Fit the map to what was out of memory when its turn came, once there are no more frames."""
+        self._mapper.catch_up()
 
     def render(self, T_wc: Float64) -> Rendered:
         """Return the map's view from ``T_wc`` [4, 4] at the run's image size."""
@@ -290,19 +294,11 @@ class Slam:
                 self._mapper.observe_frame(frame, result.T_wc, skip_objects=tracked.arrival.late)
         return tracked
 
-    def _bootstrap(self, tracked: TrackedFrame) -> int:
-        """Fit the map to its first keyframe; return the iterations."""
-        if not tracked.is_keyframe or len(self.keyframe_indices) != 1 or not self._mapper.ready:
-            return 0
-        for _ in range(self.config.mapper.bootstrap):
-            with self.mapping_scope:
-                self._mapper.iterate()
-        return self.config.mapper.bootstrap
-
-    def _fit(self, waiting: Waiting | None) -> int:
-        """Fit the map as long as the schedule says; return the iterations."""
-        done = 0
-        while self._mapper.ready and self._scheduler.should_continue(done, waiting):
+    def _fit(self, tracked: TrackedFrame, waiting: Waiting | None) -> int:
+        """Fit the map, first to its first keyframe, as long as the schedule says; return the iterations."""
+        first = tracked.is_keyframe and len(self.keyframe_indices) == 1
+        more, done = self.config.mapper.bootstrap if first else 0, 0
+        while self._mapper.ready and (done < more or self._scheduler.should_continue(done - more, waiting)):
             with self.mapping_scope:
                 self._mapper.iterate()
             done += 1

@@ -65,6 +65,9 @@ class FakeSlam:
     def in_two_threads(self):
         return contextlib.nullcontext()
 
+    def finish(self):
+        pass
+
     def refine(self):
         self.refined += 1
         self.on_refine(self.refined)

@@ -15,6 +15,9 @@ from ggwarp.pipeline.mapping.keyframe_window import WindowConfig, keyframes_that
 from ggwarp.runtime.state import Stateful
 from ggwarp.types import Float64
 
+_FETCHED = 8
+"""So many iterations wait for a submap before it is fetched for them: for one it costs as much as that."""
+
 _PAST = 2
 """Keyframes outside the window that each round takes in, so that the past is not forgotten (MonoGS)."""
 
@@ -35,8 +38,15 @@ class KeyframeSampler(Protocol):
         """Take in a view of an earlier map, before any keyframe: it is of the past."""
         ...
 
-    def next(self) -> int:
-        """Return the keyframe to fit the map to; there must be one."""
+    def next(self) -> list[int]:
+        """Return what to fit the map to now, all of it in memory: one keyframe, or what was put off; or none.
+
+        There must be keyframes.
+        """
+        ...
+
+    def put_off(self) -> list[int]:
+        """Return some of what is still put off, all of it in memory then; none: nothing is."""
         ...
 
     def unconfirmed(self, keyframe_ids: Callable[[], NDArray[np.int32]]) -> Seen | None:
@@ -51,19 +61,18 @@ class KeyframeSampler(Protocol):
 class RandomSampler(Stateful):
     """The newest keyframe first, once; then any, at random (GS-ICP-SLAM).
 
-    What is drawn and is out of memory is put off until there is as much of its submap as this has keyframes,
-    and then comes first: each keyframe has as many iterations as it would have otherwise.
+    An iteration on a keyframe that is out of memory is put off until that is back, or until some wait for its
+    submap, which is then fetched. The draws are those of a map that is all in memory.
     """
 
-    STATE = ("_rng", "_count", "_newest_pending", "_put_off", "_visited")
+    STATE = ("_rng", "_count", "_newest_pending", "_put_off")
 
     def __init__(self, rng: np.random.Generator, submaps: Submaps) -> None:
         """Start without keyframes; ``submaps`` tells which of them are out of memory."""
         self._rng, self._submaps = rng, submaps
         self._count = 0
         self._newest_pending = False
-        self._put_off: dict[int, list[int]] = {}  # by submap
-        self._visited: int | None = None
+        self._put_off: list[int] = []  # as they were drawn
 
     def add(self) -> None:
         self._count += 1
@@ -72,35 +81,41 @@ class RandomSampler(Stateful):
     def add_earlier(self) -> None:
         self._count += 1
 
-    def next(self) -> int:
+    def next(self) -> list[int]:
+        self._leave()
         if self._newest_pending:
             self._newest_pending = False
-            return self._count - 1
-        while True:
-            if self._visited is not None and (number := self._next_put_off()) is not None:
-                return number
-            hidden = self._submaps.hidden_keyframes()
-            number = int(self._rng.integers(self._count))
-            if hidden is None or not hidden[number]:
-                return number
-            submap = self._submaps.of_keyframe(number)
-            waiting = self._put_off.setdefault(submap, [])
-            waiting.append(number)
-            if len(waiting) >= len(self._submaps.keyframes_of(submap)):
-                self._visited = submap
-
-    def _next_put_off(self) -> int | None:
-        """Return the next keyframe of the submap that is visited; None: there is none any more."""
-        assert self._visited is not None
-        waiting = self._put_off[self._visited]
-        if not waiting:
-            self._visited = None
-            self._submaps.visit([])
-            return None
+            return [self._count - 1]
+        number = int(self._rng.integers(self._count))
         hidden = self._submaps.hidden_keyframes()
-        if hidden is not None and hidden[waiting].any():
-            self._submaps.visit(sorted({*waiting}))
-        return waiting.pop()
+        if hidden is not None and hidden[number]:
+            self._put_off.append(number)
+            submap = self._submaps.of_keyframe(number)
+            same = [k for k in self._put_off if self._submaps.of_keyframe(k) == submap]
+            return self._fetch(same) if len(same) >= _FETCHED else self._take_back()
+        return [number, *self._take_back()]
+
+    def put_off(self) -> list[int]:
+        self._leave()
+        return self._fetch(self._put_off[:1]) if self._put_off else []
+
+    def _fetch(self, keyframes: list[int]) -> list[int]:
+        """Bring what some that were put off see to memory; return all that are there then."""
+        self._submaps.visit(sorted({*keyframes}))
+        return self._take_back()
+
+    def _take_back(self) -> list[int]:
+        """Return what was put off and is in memory now, in the order in which it was drawn."""
+        hidden = self._submaps.hidden_keyframes()
+        away = np.zeros(self._count, bool) if hidden is None else hidden
+        back = [k for k in self._put_off if not away[k]]
+        self._put_off = [k for k in self._put_off if away[k]]
+        return back
+
+    def _leave(self) -> None:
+        """Let go of what was fetched."""
+        if self._submaps.visited:
+            self._submaps.visit([])
 
     @property
     def window(self) -> list[int]:
@@ -154,7 +169,7 @@ class WindowSampler(Stateful):
     def add_earlier(self) -> None:
         self._count += 1
 
-    def next(self) -> int:
+    def next(self) -> list[int]:
         if not self._round:
             hidden = self._submaps.hidden_keyframes()
             known = np.arange(self._count) if hidden is None else np.flatnonzero(~hidden)
@@ -162,7 +177,10 @@ class WindowSampler(Stateful):
             some = self._rng.choice(past, min(_PAST, len(past)), replace=False)
             *others, newest = [number for number in self._window if number in known]
             self._round = [*self._rng.permutation([*others, *some]).astype(int).tolist(), newest]
-        return self._round.pop()
+        return [self._round.pop()]
+
+    def put_off(self) -> list[int]:
+        return []
 
     def unconfirmed(self, keyframe_ids: Callable[[], NDArray[np.int32]]) -> Seen | None:
         c = self._config

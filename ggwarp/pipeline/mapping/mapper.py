@@ -249,10 +249,16 @@ class Mapper(Stateful):
 
     def iterate(self) -> None:
         """Fit the map to one keyframe once; on CUDA, queue it: the host reads nothing."""
+        before = self._optimiser.iterations
         self._optimiser.iterate()
         interval = self._config.densify.reset_interval
-        if interval > 0 and self._optimiser.iterations % interval == 0:
+        if interval > 0 and self._optimiser.iterations // interval > before // interval:
             self._reset_opacities()
+
+    def catch_up(self) -> None:
+        """Fit the map to what was out of memory when its turn came."""
+        self._optimiser.catch_up()
+        self._optimiser.synchronise()
 
     def _reset_opacities(self) -> None:
         """Lower those of the Gaussians that the window, or without one the newest keyframe, does not see."""

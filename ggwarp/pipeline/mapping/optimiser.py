@@ -138,8 +138,20 @@ class MapOptimiser(Stateful):
             self._renderer.provide(keyframe.T_cw)
 
     def iterate(self) -> None:
-        """Fit the map to one keyframe once; on CUDA, queue it: the host reads nothing."""
-        number = self._sampler.next()
+        """Fit the map to one keyframe once; on CUDA, queue it: the host reads nothing.
+
+        Where that is out of memory it is put off, and comes with others later.
+        """
+        for number in self._sampler.next():
+            self._iterate(number)
+
+    def catch_up(self) -> None:
+        """Fit the map to all that is still put off."""
+        while numbers := self._sampler.put_off():
+            for number in numbers:
+                self._iterate(number)
+
+    def _iterate(self, number: int) -> None:
         if self._submaps.parked:
             # Views then come submap by submap: many in a row look past what the next ones show.
             self._map.fields["low_weight_counts"].zero_()

@@ -18,14 +18,20 @@ WHOLE = Submaps(
 """Of a map all of which is in memory."""
 
 
+def one(sampler: RandomSampler | WindowSampler) -> int:
+    """Return the next keyframe, of a map that is all in memory."""
+    [number] = sampler.next()
+    return number
+
+
 def test_the_newest_comes_first_and_once(rng: np.random.Generator) -> None:
     sampler = RandomSampler(rng, WHOLE)
     for _ in range(50):
         sampler.add()
-    assert sampler.next() == 49
+    assert one(sampler) == 49
     sampler.add()
-    assert sampler.next() == 50
-    assert Counter(sampler.next() for _ in range(200)).most_common(1)[0][1] < 30
+    assert one(sampler) == 50
+    assert Counter(one(sampler) for _ in range(200)).most_common(1)[0][1] < 30
 
 
 def sampler_along_a_corridor(rng: np.random.Generator, steps: int) -> WindowSampler:
@@ -53,7 +59,7 @@ def test_a_round_is_the_window_and_two_of_the_past(rng: np.random.Generator) -> 
     size = len(sampler.window) + 2
     past = set()
     for _ in range(20):
-        drawn = [sampler.next() for _ in range(size)]
+        drawn = [one(sampler) for _ in range(size)]
         assert drawn[0] == 19
         assert len(set(drawn)) == size and set(sampler.window) <= set(drawn)
         past |= set(drawn) - set(sampler.window)
@@ -62,14 +68,14 @@ def test_a_round_is_the_window_and_two_of_the_past(rng: np.random.Generator) -> 
 
 def test_the_first_keyframe_is_all_there_is(rng: np.random.Generator) -> None:
     sampler = sampler_along_a_corridor(rng, 1)
-    assert [sampler.next() for _ in range(3)] == [0, 0, 0]
+    assert [one(sampler) for _ in range(3)] == [0, 0, 0]
 
 
 def test_a_new_keyframe_starts_a_new_round(rng: np.random.Generator) -> None:
     sampler = sampler_along_a_corridor(rng, 2)
-    sampler.next()
+    one(sampler)
     sampler.add()
-    assert sorted(sampler.next() for _ in range(3)) == [0, 1, 2]
+    assert sorted(one(sampler) for _ in range(3)) == [0, 1, 2]
 
 
 def test_views_of_an_earlier_map_are_of_the_past(rng: np.random.Generator) -> None:
@@ -77,13 +83,13 @@ def test_views_of_an_earlier_map_are_of_the_past(rng: np.random.Generator) -> No
     for _ in range(4):
         random.add_earlier()
     random.add()
-    assert random.next() == 4 and {random.next() for _ in range(100)} == set(range(5))
+    assert one(random) == 4 and {one(random) for _ in range(100)} == set(range(5))
     window = sampler_along_a_corridor(rng, 0)
     for _ in range(4):
         window.add_earlier()
     window.add()
     assert window.window == [4]
-    drawn = [window.next() for _ in range(3)]
+    drawn = [one(window) for _ in range(3)]
     assert 4 in drawn and len({*drawn} & {0, 1, 2, 3}) == 2
 
 
@@ -92,40 +98,45 @@ class Halves(Submaps):
 
     def __init__(self) -> None:
         super().__init__(WHOLE._map, Camera(64, 48, 60.0, 60.0, 31.5, 23.5))
-        self.there, self.visits = 1, 0
+        self.there, self.visits, self.home = 1, 0, 1
 
     def of_keyframe(self, keyframe: int) -> int:
         return keyframe // 5
-
-    def keyframes_of(self, number: int) -> np.ndarray:
-        return np.arange(40)  # so many are put off
 
     def hidden_keyframes(self) -> np.ndarray:
         return np.arange(10) // 5 != self.there
 
     def visit(self, keyframes: Iterable[int]) -> None:
-        halves = {self.of_keyframe(k) for k in keyframes}
+        self.visited = list(keyframes)
+        halves = {self.of_keyframe(k) for k in self.visited}
         self.visits += len(halves)
-        self.there = halves.pop() if halves else 1  # where the camera is
+        self.there = halves.pop() if halves else self.home
 
 
-def test_what_is_out_of_memory_has_its_iterations_later(rng: np.random.Generator) -> None:
+def test_what_is_out_of_memory_has_its_iterations_later() -> None:
+    """The very draws of a map in one piece, each when what it sees is in memory."""
     halves = Halves()
-    sampler = RandomSampler(rng, halves)
+    cut, whole = (RandomSampler(np.random.default_rng(3), submaps) for submaps in (halves, WHOLE))
     for _ in range(10):
-        sampler.add()
-    drawn = Counter[int]()
-    for _ in range(5000):
-        number = sampler.next()
-        assert not halves.hidden_keyframes()[number], "what it sees is there"
-        drawn[number] += 1
-    assert halves.visits <= 5000 // 40, "not for every draw"
-    counts = np.array([drawn[k] for k in range(10)])
-    assert (np.abs(counts - 500) < 80).all(), "each as often as any other"
+        cut.add()
+        whole.add()
+    drawn, expected = Counter[int](), Counter(one(whole) for _ in range(999))
+    for k in range(999):
+        halves.home = k // 300 % 2  # the camera goes to and fro
+        numbers = cut.next()
+        assert not halves.hidden_keyframes()[numbers].any(), "what they see is there"
+        drawn.update(numbers)
+        assert k - 2 * 8 < drawn.total() <= k + 1, "none waits for long"
+    assert halves.visits < 999 / 2 / 8 + 2, "not for every draw"
+    assert drawn != expected
+    while numbers := cut.put_off():
+        assert not halves.hidden_keyframes()[numbers].any()
+        drawn.update(numbers)
+    assert drawn == expected
 
 
 def test_a_window_leaves_out_what_is_out_of_memory(rng: np.random.Generator) -> None:
     sampler = sampler_along_a_corridor(rng, 10)
     sampler._submaps = Halves()
-    drawn = {sampler.next() for _ in range(60)}
+    drawn = {one(sampler) for _ in range(60)}
     assert 9 in drawn and min(drawn) == 5
