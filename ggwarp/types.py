@@ -8,6 +8,7 @@ Pixel (0, 0) is the *centre* of the top-left pixel.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
@@ -52,6 +53,24 @@ class Frame:
     true_mask: NDArray[np.int32] | None = None
     native_mask: NDArray[np.int32] | None = None
     depth_weight: Float32 | None = None
+
+
+@dataclass(frozen=True)
+class StoredArray:
+    """An array that is in a file, as part of a state: it is read when that is written elsewhere.
+
+    Attributes:
+        dtype, shape: of all of it.
+        parts: reads it, part by part along its first axis.
+    """
+
+    dtype: np.dtype[Any]
+    shape: tuple[int, ...]
+    parts: Callable[[], Iterator[NDArray[Any]]]
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        whole = np.concatenate([np.zeros((0, *self.shape[1:]), self.dtype), *self.parts()])
+        return whole.astype(dtype or self.dtype, copy=False)
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,10 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
+import struct
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +16,7 @@ from numpy.typing import NDArray
 from ggwarp.io.atomic import atomic_write
 from ggwarp.io.guarded import FileError, FileKind, check_file
 from ggwarp.io.printable import printable, shown
+from ggwarp.types import StoredArray
 
 FORMAT = 3
 """Grows when what a checkpoint holds changes, so that an older version would not understand it."""
@@ -21,24 +24,59 @@ FORMAT = 3
 _CHECKPOINT = FileKind("a checkpoint", 64 << 30)
 _ARRAY = "$array"
 _DEEPEST = 64
+_KINDS = {"b1": "BOOL", "f2": "F16", "f4": "F32", "f8": "F64"} | {
+    f"{kind}{size}": f"{kind.upper()}{8 * size}" for kind in "iu" for size in (1, 2, 4, 8)
+}
+"""NumPy's types as safetensors names them."""
 
 
 def write_checkpoint(path: Path, tree: dict[str, Any]) -> None:
     """Write ``tree``: dictionaries with text for keys, lists, arrays and JSON's values.
 
-    The file is on the disk, whole, before it has its name.
+    What is in other files is read part by part, never all of it at once. The file is on the disk, whole,
+    before it has its name.
 
     Raises:
         OSError: it cannot be written.
     """
-    from safetensors.numpy import save
-
-    arrays: dict[str, NDArray[Any]] = {}
+    arrays: dict[str, NDArray[Any] | StoredArray] = {}
     text = json.dumps(_without_arrays(tree, "", arrays))
-    header = {"ggwarp": json.dumps({"format": FORMAT, "sha256": _checksum(text, arrays)}), "values": text}
-    data = save(arrays, metadata=header)
+    entries, end = {}, 0
+    for name in sorted(arrays):
+        array = arrays[name]
+        begin, end = end, end + math.prod(array.shape) * array.dtype.itemsize
+        kind = _KINDS[array.dtype.newbyteorder("=").str[1:]]
+        entries[name] = {"dtype": kind, "shape": list(array.shape), "data_offsets": [begin, end]}
+    digest = _begun(text)
     with atomic_write(path) as file:
+        file.write(_header(text, entries, "0" * len(digest.hexdigest())))
+        for name in entries:
+            _write_array(file, digest, name, arrays[name])
+        file.seek(0)
+        file.write(_header(text, entries, digest.hexdigest()))
+
+
+def _header(text: str, entries: dict[str, Any], checksum: str) -> bytes:
+    """Return what a file of safetensors begins with, the values that are no arrays among it."""
+    said = {"ggwarp": json.dumps({"format": FORMAT, "sha256": checksum}), "values": text}
+    header = json.dumps({"__metadata__": said, **entries}).encode()
+    header += b" " * (-len(header) % 8)
+    return struct.pack("<Q", len(header)) + header
+
+
+def _write_array(file: BinaryIO, digest: Any, name: str, array: NDArray[Any] | StoredArray) -> None:
+    """Write an array part by part, and take it into the checksum."""
+    digest.update(_named(name, array))
+    size = 0
+    for part in array.parts() if isinstance(array, StoredArray) else [array]:
+        if part.dtype != array.dtype or part.shape[1:] != array.shape[1:]:
+            raise ValueError(f"{name}: a part of it is not like it")
+        data = np.ascontiguousarray(part).tobytes()
         file.write(data)
+        digest.update(data)
+        size += len(data)
+    if size != math.prod(array.shape) * array.dtype.itemsize:
+        raise ValueError(f"{name}: its parts are not as long as it")
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
@@ -85,8 +123,11 @@ def _check_version(name: str, header: dict[str, str]) -> None:
         raise FileError(f"{name}: has format {shown(version)}, which is {remedy}")
 
 
-def _without_arrays(tree: Any, name: str, arrays: dict[str, NDArray[Any]]) -> Any:
+def _without_arrays(tree: Any, name: str, arrays: dict[str, NDArray[Any] | StoredArray]) -> Any:
     """Return ``tree`` as JSON has it; its arrays go to ``arrays``, and their names to their places."""
+    if isinstance(tree, StoredArray):
+        arrays[name] = tree
+        return {_ARRAY: name}
     if isinstance(tree, np.ndarray):
         arrays[name] = np.ascontiguousarray(tree).reshape(tree.shape)
         return {_ARRAY: name}
@@ -110,9 +151,17 @@ def _with_arrays(tree: Any, arrays: dict[str, NDArray[Any]], depth: int = 0) -> 
 
 
 def _checksum(text: str, arrays: dict[str, NDArray[Any]]) -> str:
-    digest = hashlib.sha256(text.encode())
+    digest = _begun(text)
     for name in sorted(arrays):
         array = arrays[name]
-        digest.update(f"\n{name} {array.dtype.str} {array.shape}\n".encode())
+        digest.update(_named(name, array))
         digest.update(array.data if array.size else b"")
     return digest.hexdigest()
+
+
+def _begun(text: str) -> Any:
+    return hashlib.sha256(text.encode())
+
+
+def _named(name: str, array: NDArray[Any] | StoredArray) -> bytes:
+    return f"\n{name} {array.dtype.str} {array.shape}\n".encode()

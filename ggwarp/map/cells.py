@@ -7,6 +7,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ggwarp.geometry import se3, sim3
 from ggwarp.geometry.voxels import voxel_keys
@@ -49,9 +50,33 @@ class Cells:
         """Return how far the nearest ball is from ``point`` [3], metres."""
         return float((np.linalg.norm(self.centres - point, axis=1) - self.radii).min(initial=math.inf))
 
+    @classmethod
+    def at(cls, place: Float64) -> Cells:
+        """Return the cell of a single point [3]."""
+        return cls(place[None], np.zeros(1))
+
+    def grown(self, by: float) -> Cells:
+        """Return balls with radii larger by so many metres."""
+        return Cells(self.centres, self.radii + by)
+
+    def hold(self, others: Cells) -> bool:
+        """Return whether each of some other balls lies in one of these."""
+        apart = np.linalg.norm(self.centres[None] - others.centres[:, None], axis=2)
+        return bool((apart + others.radii[:, None] <= self.radii).any(axis=1).all())
+
     def moved(self, motions: Float64) -> Cells:
         """Return balls that hold the Gaussians wherever the similarities ``motions`` [k, 4, 4] take them."""
         places = np.stack([se3.transform_points(motion, self.centres) for motion in motions])
         centres, growth = places.mean(axis=0), max(sim3.split(motion)[1] for motion in motions)
         apart = np.linalg.norm(places - centres, axis=2).max(axis=0)
         return Cells(centres, growth * self.radii + apart)
+
+
+def nearest(points: Float32, places: list[Float64]) -> NDArray[np.int32]:
+    """Return [n] which of ``places`` [3] is nearest to each of ``points`` [n, 3]."""
+    found, least = np.zeros(len(points), np.int32), np.full(len(points), np.inf)
+    for number, place in enumerate(places):
+        distances2 = ((points - place) ** 2).sum(axis=1)
+        nearer = distances2 < least
+        found[nearer], least[nearer] = number, distances2[nearer]
+    return found

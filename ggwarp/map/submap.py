@@ -41,12 +41,14 @@ class Submap:
         parked: Gaussians that are in the file; 0: none, they are on the device.
         births: [b] the keyframes that brought those that are parked, rising.
         motions: how loops have moved these since then, [b, 4, 4] each.
-        hides: [k] which of all keyframes see any of it, while it is parked.
+        around: balls that hold the cells that it had when it was last parked, and some room.
+        hides: [k] which of the keyframes before that may see any of these; of later ones none did.
     """
 
     middle: Float64
     cells: Cells
     seen: int
+    around: Cells
     parked: int = 0
     births: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, np.int32))
     motions: list[Float64] = field(default_factory=list)

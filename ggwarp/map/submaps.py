@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ggwarp.geometry import se3, sim3
 from ggwarp.geometry.camera import Camera
 from ggwarp.geometry.view_volume import COLUMNS, ROWS, Bools, ViewVolume, reach_of, same_reach
-from ggwarp.map.cells import Cells
+from ggwarp.map.cells import Cells, nearest
 from ggwarp.map.gaussian_map import GROWTH, GaussianMap
 from ggwarp.map.submap import MapBudget, Submap
 from ggwarp.runtime.image_store import ImageStore
@@ -42,6 +42,9 @@ gradients, 32 of the binning and 148 in each of four tiles."""
 
 _OPAQUE = 0.95
 """Nothing is looked for behind pixels that are more opaque than this."""
+
+_SLACK = 0.1
+"""What a parked submap hides is found by balls larger by this, metres, so that it is known the next time."""
 
 _CHUNK = 256
 """Keyframes that are looked at together."""
@@ -108,7 +111,7 @@ class Submaps(Stateful):
         number = self._looked_at(T_wc, reach, middle)
         if number is None:
             number = len(self._submaps)
-            self._submaps.append(Submap(middle, Cells(middle[None], np.zeros(1)), self._views))
+            self._submaps.append(Submap(middle, Cells.at(middle), self._views, around=Cells.at(middle)))
         self.hold(number)
         self._submap_of = np.append(self._submap_of, np.int32(number))
         self._poses = np.concatenate([self._poses, T_wc[None]])
@@ -157,7 +160,7 @@ class Submaps(Stateful):
         if not submap.parked:
             return
         self._put_into(self._map, number)
-        submap.parked, submap.motions, submap.hides = 0, [], np.zeros(0, bool)
+        submap.parked, submap.motions = 0, []
         self._changed()
 
     def hold_view(self, keyframe: int) -> None:
@@ -169,7 +172,7 @@ class Submaps(Stateful):
         """Return [k] which keyframes see any of what is parked; None: none does."""
         if self._hidden is None:
             self._hidden = np.zeros(len(self._submap_of), bool)
-            for submap in self._submaps:
+            for submap in (self._submaps[number] for number in self.parked):
                 self._hidden[: len(submap.hides)] |= submap.hides
         return self._hidden if self._hidden.any() else None
 
@@ -199,7 +202,9 @@ class Submaps(Stateful):
             if submap.parked:
                 submap.motions.append(motions[submap.births])
                 submap.cells = submap.cells.moved(submap.motions[-1])
-                submap.hides = self._seeing(submap.cells)
+            submap.hides = np.zeros(0, bool)  # by keyframes as they were
+            if submap.parked:
+                self._find_hidden(submap)
         self._looked_through = -1
         if self._budget is not None:
             self._look_through()
@@ -215,8 +220,9 @@ class Submaps(Stateful):
             yield part
 
     def state(self) -> State:
-        """Return all of it; the rows of what is parked are read from the file."""
-        rows = {str(n): {name: to_host(a).copy() for name, a in self._rows(n).items()} for n in self.parked}
+        """Return all of it; the rows of what is parked are read from the file when the state is written."""
+        names = self._map.fields
+        rows = {str(n): {name: self._store.joined([(n, name)]) for name in names} for n in self.parked}
         return super().state() | {"rows": rows}
 
     def restore(self, state: State, frames: FrameSource) -> None:
@@ -226,7 +232,9 @@ class Submaps(Stateful):
         for number in self.parked:
             for name, rows in state["rows"][str(number)].items():
                 dtype = self._map.fields[name].dtype
-                self._store.put((number, name), wp.array(rows, dtype=dtype, device=self._map.device))
+                self._store.put(
+                    (number, name), wp.array(np.asarray(rows), dtype=dtype, device=self._map.device)
+                )
             if self._budget is None:
                 self.hold(number)
         self._changed()
@@ -255,15 +263,17 @@ class Submaps(Stateful):
         """Return the submaps that any of some keyframes may see."""
         return {n for k in keyframes for n in self._in_view(self._poses[k], self._reaches[k])}
 
-    def _seeing(self, cells: Cells) -> Bools:
-        """Return [k] which keyframes may see any of ``cells``."""
-        T_cw = np.asarray(np.linalg.inv(self._poses), np.float64)
-        chunks = [slice(k, k + _CHUNK) for k in range(0, len(T_cw), _CHUNK)]
-        seen = [
-            self._volume.touches(T_cw[c], self._reaches[c], cells.centres, cells.radii).any(axis=1)
-            for c in chunks
-        ]
-        return np.concatenate(seen) if seen else np.zeros(0, bool)
+    def _find_hidden(self, submap: Submap) -> None:
+        """Find out which keyframes may see any of a submap; where it is as it was, of the new ones alone."""
+        cells = submap.cells
+        if not (submap.around.hold(cells) and cells.grown(2.0 * _SLACK).hold(submap.around)):
+            submap.around, submap.hides = cells.grown(_SLACK), np.zeros(0, bool)
+        around, seen = submap.around, [submap.hides]
+        for k in range(len(submap.hides), len(self._poses), _CHUNK):
+            T_wc, reach = self._poses[k : k + _CHUNK], self._reaches[k : k + _CHUNK]
+            T_cw = np.asarray(np.linalg.inv(T_wc), np.float64)
+            seen.append(np.any(self._volume.touches(T_cw, reach, around.centres, around.radii), axis=1))
+        submap.hides = np.concatenate(seen)
 
     def _make_room(self) -> None:
         """Park what has been out of view longest, until the rest fits; not what is in view."""
@@ -288,7 +298,7 @@ class Submaps(Stateful):
             return
         self._looked_through = self._map.version
         means, log_scales = (to_host(self._map.fields[n])[: self._map.count] for n in ("means", "log_scales"))
-        self._owners = _nearest(means, [submap.middle for submap in self._submaps])
+        self._owners = nearest(means, [submap.middle for submap in self._submaps])
         for number, submap in enumerate(self._submaps):
             if not submap.parked:
                 own = self._owners == number
@@ -303,7 +313,7 @@ class Submaps(Stateful):
         for name, array in rows.items():
             self._store.put((number, name), array)
         submap.parked, submap.births = int(own.sum()), np.unique(to_host(rows["keyframe_ids"]))
-        submap.hides = self._seeing(submap.cells)
+        self._find_hidden(submap)
         self._owners, self._looked_through = self._owners[~own], self._map.version
         self._changed()
 
@@ -318,13 +328,3 @@ class Submaps(Stateful):
             motions = np.tile(np.eye(4), (len(self._submap_of), 1, 1))
             motions[self._submaps[number].births] = own
             gaussians.move(motions, begin=begin)
-
-
-def _nearest(points: Float32, places: list[Float64]) -> NDArray[np.int32]:
-    """Return [n] which of ``places`` [3] is nearest to each of ``points`` [n, 3]."""
-    found, least = np.zeros(len(points), np.int32), np.full(len(points), np.inf)
-    for number, place in enumerate(places):
-        distances2 = ((points - place) ** 2).sum(axis=1)
-        nearer = distances2 < least
-        found[nearer], least[nearer] = number, distances2[nearer]
-    return found

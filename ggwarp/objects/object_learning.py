@@ -163,7 +163,7 @@ class ObjectLearning(Stateful):
         if self._config.votes == 0:
             return None
         self._frames += 1
-        if interval == 0 or self._frames % interval != 0:
+        if interval == 0 or keyframes == 0 or self._frames % interval != 0:
             return None
         return self._frames // interval % keyframes
 

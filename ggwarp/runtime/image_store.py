@@ -15,17 +15,20 @@ import errno
 import logging
 import os
 import tempfile
+import threading
 import zlib
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from ggwarp.runtime.streams import to_host
+from ggwarp.types import StoredArray
 
 log = logging.getLogger(__name__)
 
@@ -49,7 +52,7 @@ class _Place:
 
 
 class ImageStore:
-    """Arrays by key, at most ``budget`` bytes of them in memory. For one thread.
+    """Arrays by key, at most ``budget`` bytes of them in memory. For one thread, but for :meth:`joined`.
 
     To save all of it, go over :meth:`keys` and :meth:`get`; to restore it, :meth:`put` them in that order.
     What is in memory and what in the file does not matter to any result.
@@ -84,6 +87,7 @@ class ImageStore:
             Hashable, bool
         ] = {}  # in the order they came; whether the file has the array as it is
         self._file: IO[bytes] | None = None
+        self._lock = threading.Lock()  # of where the file is at
         self._end = 0
         self.held = 0
 
@@ -125,11 +129,38 @@ class ImageStore:
         if key in self._arrays:
             self._arrays.move_to_end(key)
             return self._arrays[key]
-        array = self._read(self._places[key])
+        place = self._places[key]
+        array = wp.array(self._read(place), dtype=place.dtype, device=self.device)
         self.held += array.capacity
         self._arrays[key] = array
         self._make_room()
         return array
+
+    def joined(self, keys: Sequence[Hashable]) -> StoredArray:
+        """Return the arrays of ``keys``, at least one, joined along their first axis, for a state.
+
+        What is in the file is read when the parts are asked for, by any thread, and is not kept in memory;
+        that raises an OSError where one of them has been written anew since.
+        """
+        sources = [self._arrays[key] if key in self._arrays else self._places[key] for key in keys]
+
+        def parts() -> Iterator[NDArray[Any]]:
+            for key, source in zip(keys, sources, strict=True):
+                if isinstance(source, _Place):
+                    if self._places.get(key) is not source:
+                        raise OSError(errno.ESTALE, "a temporary file has changed since")
+                    yield self._read(source)
+                else:
+                    yield to_host(source)
+
+        of_host = [
+            (source.shape, source.host_dtype)
+            if isinstance(source, _Place)
+            else (to_host(source).shape, to_host(source).dtype)
+            for source in sources
+        ]
+        (_, *rest), dtype = of_host[0]
+        return StoredArray(dtype, (sum(shape[0] for shape, _ in of_host), *rest), parts)
 
     def clear(self) -> None:
         """Forget everything."""
@@ -163,23 +194,24 @@ class ImageStore:
         else:
             offset, room = place.offset, place.room
         file = self._opened()
-        file.seek(offset)
-        if file.write(packed) != len(packed):
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        with self._lock:
+            file.seek(offset)
+            if file.write(packed) != len(packed):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         self._end = max(self._end, offset + room)
         self._places[key] = _Place(offset, room, len(packed), image.shape, image.dtype, array.dtype)
         self._keys[key] = True
 
-    def _read(self, place: _Place) -> wp.array:
+    def _read(self, place: _Place) -> NDArray[Any]:
         assert self._file is not None, "what has a place was written"
-        self._file.seek(place.offset)
-        packed = self._file.read(place.size)
+        with self._lock:
+            self._file.seek(place.offset)
+            packed = self._file.read(place.size)
         try:
             data = zlib.decompress(packed)
         except zlib.error as error:
             raise OSError(errno.EIO, f"the temporary file of images is damaged ({error})") from None
-        image = np.frombuffer(data, place.host_dtype).reshape(place.shape)
-        return wp.array(image, dtype=place.dtype, device=self.device)
+        return np.frombuffer(data, place.host_dtype).reshape(place.shape)
 
     def _opened(self) -> IO[bytes]:
         if self._file is None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import json
 import struct
+import weakref
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,7 @@ import pytest
 from ggwarp.io import checkpoint
 from ggwarp.io.checkpoint import read_checkpoint, write_checkpoint
 from ggwarp.io.guarded import FileError
+from ggwarp.types import StoredArray
 
 TREE: dict[str, Any] = {
     "map": {"means": np.arange(6, dtype=np.float32).reshape(2, 3), "none": np.zeros((0, 16), np.float32)},
@@ -37,6 +40,40 @@ def test_a_tree_comes_back(file: Path) -> None:
     assert tree["list"][0].tolist() == [True, False] and tree["list"][1:3] == [1.5, "text"]
     assert np.isnan(tree["list"][3]) and tree["list"][4]["deep"] == 7
     assert list(file.parent.iterdir()) == [file], "and nothing else is left"
+
+
+def test_arrays_of_every_type_come_back(tmp_path: Path, rng: np.random.Generator) -> None:
+    kinds = ("?", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "f2", "f4", "f8")
+    tree = {kind: rng.integers(0, 2, (3, 5)).astype(kind)[:, ::2] for kind in kinds}
+    write_checkpoint(tmp_path / "c", tree)
+    for kind, array in read_checkpoint(tmp_path / "c").items():
+        np.testing.assert_array_equal(array, tree[kind], strict=True)
+
+
+def test_what_is_in_a_file_is_read_part_by_part(tmp_path: Path, rng: np.random.Generator) -> None:
+    rows = rng.normal(size=(9, 4)).astype(np.float32)
+    alive, counts = [], []
+
+    def parts(cut: int = 9) -> Iterator[np.ndarray]:
+        for k in range(0, cut, 3):
+            part = rows[k : k + 3].copy()
+            alive.append(weakref.ref(part))
+            counts.append(sum(one() is not None for one in alive))
+            yield part
+
+    stored = StoredArray(rows.dtype, rows.shape, parts)
+    path = tmp_path / "c.safetensors"
+    write_checkpoint(path, {"a": {"rows": stored}, "b": np.arange(3, dtype=np.int8)})
+    assert len(counts) == 3 and max(counts) <= 2, "one after another"
+    tree = read_checkpoint(path)
+    np.testing.assert_array_equal(tree["a"]["rows"], rows, strict=True)
+    np.testing.assert_array_equal(np.asarray(stored), rows, strict=True)
+    np.testing.assert_array_equal(tree["b"], [0, 1, 2])
+    before = path.read_bytes()
+    for wrong in (lambda: parts(6), lambda: iter([rows.astype(np.float64)])):
+        with pytest.raises(ValueError, match="rows: "):
+            write_checkpoint(path, {"rows": StoredArray(rows.dtype, rows.shape, wrong)})
+    assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]
 
 
 def test_any_damage_is_told(file: Path, rng: np.random.Generator) -> None:

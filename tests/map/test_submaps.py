@@ -192,3 +192,26 @@ def test_a_file_that_cannot_be_made_parks_nothing_away(device: str, tmp_path: Pa
     submaps.show(TURNS[2], DEPTH)
     assert_same_map(submaps, whole)
     assert len(join(*(part.to_host() for part in submaps.parts()))) == whole.count
+
+
+def test_a_keyframe_that_is_added_is_hidden_by_what_is_parked_again(device: str) -> None:
+    """Of a submap that is as it was, only the new ones are looked at; of one that has moved, all of them."""
+    gaussians, submaps = room(device, MapBudget(0), np.random.default_rng(3))
+    submaps.show(TURNS[2], DEPTH)
+    assert submaps.parked == [0, 1]
+    submaps.show(TURNS[1], DEPTH)
+    nearly = se3.se3_exp([0.1, 0.0, 0.0, 0.0, np.pi / 2 + 0.1, 0.0])
+    submaps.add(nearly, DEPTH)
+    submaps.add(TURNS[3], DEPTH)
+    around = submaps._submaps[1].around
+    submaps.show(TURNS[3], DEPTH)
+    hidden = submaps.hidden_keyframes()
+    assert 1 in submaps.parked and submaps._submaps[1].around is around
+    assert hidden is not None and hidden.tolist()[1:6:3] == [True, True] and not hidden[5]
+    submaps.show(TURNS[1], DEPTH)
+    means = to_host(gaussians.fields["means"]).copy()
+    means[: gaussians.count, 1] += 0.3
+    gaussians.fields["means"].assign(means)
+    gaussians.version += 1
+    submaps.show(TURNS[3], DEPTH)
+    assert 1 in submaps.parked and submaps._submaps[1].around is not around

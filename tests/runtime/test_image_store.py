@@ -126,3 +126,19 @@ def test_a_missing_folder_and_a_damaged_file_are_said(
     file.getbuffer()[:100] = bytes(100)
     with pytest.raises(OSError, match="damaged"):
         store.get((0, "uint8"))
+
+
+@pytest.mark.parametrize("budget", [None, 0, 60_000])
+def test_arrays_are_joined_where_they_are(device: str, rng: np.random.Generator, budget: int | None) -> None:
+    arrays = {("a", k): rng.integers(0, 9, (k, 7, 3)).astype(np.float32) for k in range(1, 40)}
+    store = ImageStore(device=device, budget=budget)
+    filled(store, arrays, device)
+    held, joined = store.held, store.joined(list(arrays))
+    assert joined.dtype == np.float32 and joined.shape == (sum(range(1, 40)), 7, 3)
+    np.testing.assert_array_equal(np.asarray(joined), np.concatenate(list(arrays.values())))
+    assert store.held == held, "nothing is kept"
+    filled(store, {("a", 1): np.zeros((1, 7, 3), np.float32)}, device)
+    filled(store, {("b", k): np.zeros((30, 7, 3), np.float32) for k in range(40)}, device)
+    if budget is not None:
+        with pytest.raises(OSError, match="changed since"):
+            np.asarray(joined)

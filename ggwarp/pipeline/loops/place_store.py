@@ -39,7 +39,7 @@ class Places(Stateful):
         poses: where each is; whoever moves a place does it here.
     """
 
-    STATE = ("poses", "_spacings")
+    STATE = ("poses", "_spacings", "_sizes")
 
     def __init__(self, pictures: SmallViews, folder: Callable[[], Path] | None) -> None:
         """Begin without any.
@@ -53,6 +53,7 @@ class Places(Stateful):
         self._store = ImageStore(device="cpu", budget=budget, folder=folder, level=0)
         self.poses: list[PlacePose] = []
         self._spacings: list[float] = []
+        self._sizes: list[tuple[int, int, int]] = []  # rows of features, of the small picture, of the surface
 
     def __len__(self) -> int:
         return len(self.poses)
@@ -66,6 +67,7 @@ class Places(Stateful):
         self._put(number, _SURFACE, (surface.points, surface.quats, surface.spreads))
         self.poses.append(PlacePose(place.index, place.T_wc, place.depth))
         self._spacings.append(surface.spacing)
+        self._sizes.append((len(features), len(view.grey), len(surface.points)))
 
     def features(self, number: int) -> Features:
         """Return the features of a place's picture."""
@@ -84,15 +86,12 @@ class Places(Stateful):
         return Surface(*(self._get(number, name) for name in _SURFACE), spacing=self._spacings[number])
 
     def state(self) -> State:
-        """Return all of it; what is in the file is read."""
-        rows = {
-            name: [self._get(number, name) for number in range(len(self))]
-            for name in (*_FEATURES, *_VIEW, *_SURFACE)
-        }
+        """Return all of it; what is in the file is read when the state is written."""
+        numbers = range(len(self))
         shown = {
-            name: {"lengths": np.array([len(r) for r in own]), "data": np.concatenate(own)}
-            for name, own in rows.items()
-            if own
+            name: self._store.joined([(number, name) for number in numbers])
+            for name in (*_FEATURES, *_VIEW, *_SURFACE)
+            if numbers
         }
         return super().state() | {"shown": shown}
 
@@ -100,12 +99,12 @@ class Places(Stateful):
         """Take all of it over."""
         super().restore(state, frames)
         self._store.clear()
-        rows = {
-            name: np.split(own["data"], np.cumsum(own["lengths"])[:-1])
-            for name, own in state["shown"].items()
-        }
-        for number in range(len(self)):
-            self._put(number, tuple(rows), tuple(own[number] for own in rows.values()))
+        begins = (0, 0, 0)
+        for number, sizes in enumerate(self._sizes):
+            ends = tuple(begin + size for begin, size in zip(begins, sizes, strict=True))
+            for names, begin, end in zip((_FEATURES, _VIEW, _SURFACE), begins, ends, strict=True):
+                self._put(number, names, tuple(np.asarray(state["shown"][name])[begin:end] for name in names))
+            begins = ends
 
     def _put(self, number: int, names: tuple[str, ...], arrays: tuple[NDArray[Any], ...]) -> None:
         for name, array in zip(names, arrays, strict=True):
