@@ -4,8 +4,8 @@
 python tools/docs_images.py [--out docs/images] [--scale 0.42] [--frames 120] [--run FOLDER] [--real RUN]
 
 Everything is as the map renders it, but for the last column of ``remove.jpg``, which is the scene without the
-objects. ``growing.webp`` shows the map from above while it is built, roof and south wall left out.
-``real.jpg`` is the render and depth of a real recording's run: name one whose licence allows that.
+objects and their shade. ``growing.webp`` shows the map from above while it is built, roof and south wall
+left out. ``real.jpg`` is the render and depth of a real recording's run: name one whose licence allows that.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def removed(run: SavedRun, names: tuple[str, ...], index: int, office: Synthetic
     shown = [as_bytes(MapView(g, run.camera).render(run.poses[index]).rgb) for g in maps]
     ids = tuple(run.find(name).id for name in names)
     scale = run.camera.width / SyntheticOffice().camera.width
-    truth = SyntheticOffice(frames=len(office), scale=scale, without=ids)[index].rgb
+    truth = SyntheticOffice(frames=len(office), scale=scale, without=ids, shade_goes=True)[index].rgb
     size = (run.camera.width, run.camera.height)
     return [*shown, np.asarray(cv2.resize(truth, size, interpolation=cv2.INTER_AREA), np.uint8)]
 

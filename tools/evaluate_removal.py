@@ -9,7 +9,8 @@
 object. ``hole``: PSNR (dB) over the pixels that the object covered, in every --step-th frame that shows it,
 removed alone and filled; ``unseen``: those of them whose background no frame of the sequence shows.
 ``outside``: PSNR of all other pixels (a pixel away from the object), before and after, against the
-office with and without the object. The office keeps an object's shadows when the object is left out.
+office with and without the object. ``--light as-it-was`` compares with the office that keeps the object's
+shade, and fills without taking it off.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from ggwarp.datasets.built_in.synthetic import FRAME_RATE, SyntheticOffice
 from ggwarp.datasets.reader import resized
 from ggwarp.editing.device import ready_device
 from ggwarp.editing.edits import remove
-from ggwarp.editing.inpaint.filling import fill_removed
+from ggwarp.editing.inpaint.filling import FillConfig, fill_removed
 from ggwarp.editing.inpaint.image_inpainting import inpaint_opencv, inpaint_shade
 from ggwarp.editing.map_view import MapView
 from ggwarp.editing.selection import select
@@ -87,8 +88,9 @@ class Error:
 class Office:
     """The built-in office with and without an object, at a run's image size."""
 
-    def __init__(self, indices: list[int], camera: Camera) -> None:
+    def __init__(self, indices: list[int], camera: Camera, *, shade_goes: bool = True) -> None:
         """Prepare the frames ``indices``; ``camera`` is the run's."""
+        self._shade_goes = shade_goes
         self.camera = camera
         scale = min(1.0, 2.0 * camera.width / SyntheticOffice().camera.width)  # as a run reads its frames
         self._scale = scale
@@ -97,7 +99,7 @@ class Office:
 
     def views(self, object_id: int, step: int) -> list[View]:
         """Return every ``step``-th frame that shows ``object_id``, with the truth behind it."""
-        office = SyntheticOffice(scale=self._scale, without=(object_id,))
+        office = SyntheticOffice(scale=self._scale, without=(object_id,), shade_goes=self._shade_goes)
         found = []
         for frame in self.frames[::step]:
             assert frame.mask is not None and frame.T_wc is not None
@@ -160,6 +162,7 @@ def evaluate(
     *,
     step: int = 3,
     inpainter: str = "shade",
+    config: FillConfig = FillConfig(),  # noqa: B008 - frozen
     device: str = "cpu",
     pictures: Path | None = None,
 ) -> dict[str, float]:
@@ -167,7 +170,13 @@ def evaluate(
     chosen = select(run.gaussians, record.id)
     bare = remove(run.gaussians, chosen)
     filled, added = fill_removed(
-        run.gaussians, chosen, run.camera, run.poses, inpaint=INPAINTERS[inpainter], device=device
+        run.gaussians,
+        chosen,
+        run.camera,
+        run.poses,
+        inpaint=INPAINTERS[inpainter],
+        config=config,
+        device=device,
     )
     maps = {"before": run.gaussians, "removed": bare, "filled": filled}
     shown = {key: MapView(gaussians, run.camera, device=device) for key, gaussians in maps.items()}
@@ -214,6 +223,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--all", action="store_true", help="all that nothing else stands on")
     parser.add_argument("--step", type=int, default=3, help="compare every so-manyth frame")
     parser.add_argument("--inpaint", choices=INPAINTERS, default="shade")
+    parser.add_argument(
+        "--light", choices=("new", "as-it-was"), default="new", help="without or with the object's shade"
+    )
     parser.add_argument("--pictures", type=Path, help="folder for before, removed, filled and true pictures")
     parser.add_argument("--device", help="auto, cpu or cuda:N")
     options = parser.parse_args(arguments)
@@ -224,7 +236,8 @@ def main(arguments: list[str] | None = None) -> int:
         device = ready_device(options.device)
         stamps, estimated = read_tum(options.run / "trajectory.txt")
         poses = {round(t * FRAME_RATE): T_wc for t, T_wc in zip(stamps.tolist(), estimated, strict=True)}
-        office = Office(sorted(poses), run.camera)
+        shade_goes = options.light == "new"
+        office = Office(sorted(poses), run.camera, shade_goes=shade_goes)
         print(
             f"{'object':18} {'views':>5} {'pixels':>7} {'unseen':>7} {'added':>6}"
             f" {'removed':>8} {'hole':>6} {'unseen':>7} {'outside':>8} {'change':>7}"
@@ -239,6 +252,7 @@ def main(arguments: list[str] | None = None) -> int:
                 record,
                 step=options.step,
                 inpainter=options.inpaint,
+                config=FillConfig(shade=shade_goes),
                 device=device,
                 pictures=options.pictures,
             )

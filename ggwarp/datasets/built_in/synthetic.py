@@ -6,6 +6,7 @@ from __future__ import annotations
 import copy
 import threading
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -56,6 +57,7 @@ class SyntheticScene:
         faults: SensorFaults = SensorFaults(),  # noqa: B008 - frozen
         mask_faults: MaskFaults = MaskFaults(),  # noqa: B008 - frozen
         without: tuple[int, ...] = (),
+        shade_goes: bool = False,
         device: Any = "cpu",
     ) -> None:
         """Lay the scene out; its light is baked with the first frame (half a second).
@@ -67,7 +69,8 @@ class SyntheticScene:
             faults: of the camera.
             mask_faults: of the object masks.
             without: ids of objects left out; what remains keeps its look, their shadows
-                included, as in a map from which they were removed.
+                included, as in a map from which they were taken.
+            shade_goes: their shadows go, too.
             device: the Warp device that renders.
 
         Raises:
@@ -90,7 +93,9 @@ class SyntheticScene:
         rows, balls = primitive_rows(scene.shapes)
         kept = ~np.isin(rows["object_id"], without)
         self._rows, self._balls = rows[kept], balls[kept]
-        self._scene = scene
+        self._scene = self._shading = scene
+        if shade_goes:
+            self._shading = replace(scene, shapes=[s for s in scene.shapes if s.object_id not in without])
         self._device = device
 
     def __len__(self) -> int:
@@ -145,7 +150,7 @@ class SyntheticScene:
         """
         device = wp.get_device(self._device)
         with _lock:
-            lights, _ = baked_lights(self._scene, str(device))
+            lights, _ = baked_lights(self._shading, str(device))
         rows, balls = self._rows, self._balls
         if moving:
             more = primitive_rows(list(moving), first=len(self._scene.shapes))

@@ -24,13 +24,14 @@ from ggwarp.editing.inpaint.holes import HoleConfig, PlaneHole, find_holes, hits
 from ggwarp.editing.inpaint.image_inpainting import Inpaint, inpaint_depth, inpaint_shade
 from ggwarp.editing.inpaint.object_views import ObjectView, share_in_the_clear, view_object, world_rays
 from ggwarp.editing.inpaint.plane_texture import Surface, paint
+from ggwarp.editing.inpaint.shade import Occluder
 from ggwarp.editing.map_view import MapView, best_views
 from ggwarp.editing.progress import Progress, part_of, silent
 from ggwarp.editing.windows import window_of
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from ggwarp.map.gaussians import SH_C0, Gaussians, join
-from ggwarp.types import Float64
+from ggwarp.types import Float32, Float64
 
 Bools = NDArray[np.bool_]
 
@@ -54,6 +55,8 @@ class FillConfig:
     """Standard deviation along the normal, relative to that along the surface."""
     opacity: float = 0.95
     """Of new Gaussians."""
+    shade: bool = True
+    """Surfaces lose the shade that the object cast on them."""
     rest_views: int = 3
     """Views in which what no plane fills is inpainted."""
     rest_share: float = 0.01
@@ -111,9 +114,12 @@ def fill_removed(
     # What lies on a hole, though no view ever saw it rightly, makes room.
     kept = remove(kept, _over(holes, kept, config))
     on_plane = config.holes.tolerance
+    occluder = Occluder.of(whole.means[removed]) if config.shade else None
     surfaces = [
-        paint(h, object_views, camera, inpaint, margin=config.margin, tolerance=on_plane) for h in holes
+        paint(h, object_views, camera, inpaint, margin=config.margin, tolerance=on_plane, occluder=occluder)
+        for h in holes
     ]
+    kept = _relit(kept, surfaces, config)
     nearest = _nearest(kept)
     filled = join(kept, *(_laid_out(nearest, surface, config) for surface in surfaces))
     filled = _fill_rest(filled, object_views, camera, inpaint, config, device)
@@ -132,6 +138,18 @@ def _over(holes: list[PlaneHole], gaussians: Gaussians, config: FillConfig) -> B
         above = hole.plane.coordinates(gaussians.means)[:, 2]
         over |= hole.needs(gaussians.means) & (np.abs(above) < 2.0 * config.holes.reach)
     return over
+
+
+def _relit(gaussians: Gaussians, surfaces: list[Surface], config: FillConfig) -> Gaussians:
+    """Return ``gaussians`` with those on ``surfaces`` as bright as these are without the object."""
+    gains = np.ones(len(gaussians), np.float32)
+    for surface in surfaces if config.shade else ():
+        gains = np.maximum(gains, surface.gains(gaussians.means, 2.0 * config.holes.reach))
+    half = np.float32(0.5)
+    rgb = np.float32(SH_C0) * gaussians.colours + half
+    bright = np.minimum(rgb * gains[:, None], np.maximum(rgb, 1.0))
+    colours = np.where(gains[:, None] > 1.0, (bright - half) / np.float32(SH_C0), gaussians.colours)
+    return replace(gaussians, colours=colours)
 
 
 def _nearest(gaussians: Gaussians) -> Callable[[Float64], Gaussians]:
@@ -215,12 +233,14 @@ def _wanted_views(
     """Return what each view should show: the painted surfaces where the object was, all else as it is."""
     view = MapView(filled, camera, device=device)
     holes = [surface.hole for surface in surfaces]
+    shaded = [surface for surface in surfaces if (surface.gain > 1.0).any()]
     wanted = []
     for object_view in object_views[: config.fit.views]:
         seen = view.render(object_view.T_wc, window=window_of(object_view.touched, camera))
         whole = np.where(object_view.touched[..., None], seen.rgb, object_view.rgb)
         rgb = np.rint(255.0 * whole).astype(np.uint8)
         depth = np.where(object_view.touched, seen.surface_depth, object_view.depth)
+        rgb = _relit_view(rgb, depth, object_view, shaded, camera, config)
         rows, columns, which, along = hits(holes, object_view, camera, tolerance=config.holes.tolerance)
         points = (
             object_view.T_wc[:3, 3]
@@ -232,3 +252,23 @@ def _wanted_views(
             depth[rows[own], columns[own]] = along[own]
         wanted.append(WantedView(object_view.T_wc, rgb, depth))
     return wanted
+
+
+def _relit_view(
+    rgb: NDArray[np.uint8],
+    depth: Float32,
+    object_view: ObjectView,
+    surfaces: list[Surface],
+    camera: Camera,
+    config: FillConfig,
+) -> NDArray[np.uint8]:
+    """Return ``rgb`` [h, w, 3] of a view as bright as its ``surfaces`` are where the object is not seen."""
+    rows, columns = np.nonzero(~object_view.touched & (depth > 0.0))
+    z = depth[rows, columns].astype(np.float64)
+    points = object_view.T_wc[:3, 3] + world_rays(camera, object_view.T_wc, rows, columns) * z[:, None]
+    gains = np.ones(len(points), np.float32)
+    for surface in surfaces:
+        gains = np.maximum(gains, surface.gains(points, config.holes.tolerance * (1.0 + z)))
+    out = rgb.copy()
+    out[rows, columns] = np.rint(np.minimum(rgb[rows, columns] * gains[:, None], 255.0))
+    return out

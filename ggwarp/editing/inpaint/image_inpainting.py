@@ -16,18 +16,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+from ggwarp.editing.inpaint.shade import NOTICED
 from ggwarp.types import Float32, Float64
 
 Bools = NDArray[np.bool_]
 Picture = NDArray[np.uint8]
 Inpaint = Callable[[Picture, Bools, Bools], Picture]
 
-SLOPE = 15.0
-"""Pixels over which the slope of a known part's brightness dies out."""
+CONTEXT = 15
+"""Pixels: what is unknown and farther from what is wanted does not matter to it."""
 _REACH = 5.0  # pixels that OpenCV looks round an unknown one
 _LOW = 1.0  # pixels: what is blurred by so much goes on smoothly
 _SHADE = 4.0  # pixels: what is coarser is light and shade, what is finer texture
-_FLAT = 2.0  # the same where slopes should not go on
+_SLOPE = 2.0  # pixels over which the slope of what is known dies out
 _BLACK = 8.0  # of 255: darker is as good as black
 _LEAST_LIKE = 0.5  # correlation of a texture with itself, shifted
 _LEAST_OVERLAP = 0.3  # of the known pixels, by which that is judged
@@ -47,30 +48,50 @@ def inpaint_shade(rgb: Picture, mask: Bools, wanted: Bools) -> Picture:
     """Return ``rgb`` with the masked pixels near the ``wanted`` ones filled: light, shade and texture go on.
 
     Texture comes from where the picture, shifted, is most like itself (:func:`continued_texture`). What is
-    left is continued smoothly (:func:`continued`): it stays dark behind the object that casts a shadow.
+    left is continued smoothly (:func:`continued`).
     """
     if mask.all() or not wanted.any():
         return rgb
     colour = rgb.astype(np.float64)
     texture = continued_texture(colour - smoothed(colour, ~mask, _SHADE), mask)
     rest = np.clip(smoothed(colour - texture, ~mask, _LOW), 0.0, 255.0)
-    # Shade scales all colours alike: brightness alone has a slope that goes on, and only into the dark.
-    brightness = rest.mean(axis=2, keepdims=True) + _BLACK
-    open_ = _within_a_slope(mask, wanted)
-    flat = continued(np.concatenate([brightness, rest / brightness], axis=2), ~mask, open_, slope=_FLAT)
-    light = np.minimum(continued(brightness, ~mask, open_, slope=SLOPE), flat[..., :1])
-    tint = flat[..., 1:]
-    filled = np.clip(light * tint + texture, 0.0, 255.0)
+    open_ = _near(mask, wanted)
+    filled = np.clip(continued(rest, ~mask, open_, slope=_SLOPE) + texture, 0.0, 255.0)
     return np.where(open_[..., None], np.rint(filled), colour).astype(np.uint8)
 
 
-def _within_a_slope(mask: Bools, wanted: Bools) -> Bools:
-    """Return which pixels of ``mask`` lie as near to the ``wanted`` as a slope goes on.
+def relighting(rgb: Picture, known: Bools, blocked: Float32) -> Float32:
+    """Return [h, w] by how much ``rgb`` becomes brighter when what blocks its light goes, 1 or more.
+
+    Light is continued from where less than :data:`NOTICED` of it is blocked, without its slope, which
+    is the shade's own.
+
+    Args:
+        known: [h, w] where ``rgb`` [h, w, 3] is known; elsewhere the result is 1.
+        blocked: [h, w] share of the light, 0..1.
+    """
+    shaded = known & (blocked > NOTICED)
+    lit = known & ~shaded
+    gain = np.ones(known.shape, np.float32)
+    if not shaded.any() or not lit.any():
+        return gain
+    coarse, from_lit = (
+        np.maximum(smoothed(rgb.astype(np.float64), where, _SHADE).mean(axis=2, keepdims=True), _BLACK)
+        for where in (known, lit)
+    )
+    without = continued(from_lit, lit, _near(~lit, shaded), slope=_SLOPE)
+    most = 1.0 / np.maximum(1.0 - blocked, NOTICED)
+    gain[shaded] = np.clip((without / coarse)[..., 0], 1.0, most)[shaded]
+    return gain
+
+
+def _near(mask: Bools, wanted: Bools) -> Bools:
+    """Return which pixels of ``mask`` lie near to the ``wanted``.
 
     It is all of the mask where less would leave some without a known pixel beside them.
     """
     away = cv2.distanceTransform((~wanted).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    near = mask & (away <= SLOPE)
+    near = mask & (away <= CONTEXT)
     count, parts = cv2.connectedComponents(near.astype(np.uint8), connectivity=4)
     beside = near & cv2.dilate((~mask).astype(np.uint8), _CROSS).astype(bool)
     return near if len(np.unique(parts[beside])) == count - 1 else mask

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggwarp.editing.inpaint.holes import PlaneHole
-from ggwarp.editing.inpaint.image_inpainting import SLOPE, Inpaint, Picture
+from ggwarp.editing.inpaint.image_inpainting import CONTEXT, Inpaint, Picture, relighting
 from ggwarp.editing.inpaint.object_views import ObjectView, world_pixels
+from ggwarp.editing.inpaint.shade import Occluder
 from ggwarp.editing.map_view import crop_to
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
@@ -20,7 +21,8 @@ from ggwarp.types import Float32, Float64
 
 Bools = NDArray[np.bool_]
 
-_CONTEXT = int(3.0 * SLOPE)  # cells round the needed ones that the inpainter sees; it sees a slope die out
+_SEEN = 3 * CONTEXT  # cells round the needed ones that the inpainter sees
+_COARSE = 6  # cells between which an object's shade is taken to be even
 _SHARPEST = 2.0  # by this power views that show a surface better count more
 
 
@@ -32,16 +34,33 @@ class Surface:
         hole: the plane and its cells.
         rgb: [rows + 2 margin, columns + 2 margin, 3] its picture, a pixel a cell, rows as the cells'.
         margin: cells round the hole's grid.
+        gain: [rows + 2 margin, columns + 2 margin] by how much it is brighter than it was seen.
     """
 
     hole: PlaneHole
     rgb: Picture
     margin: int
+    gain: Float32
 
     def colours(self, points: Float64) -> Float32:
         """Return [n, 3] the picture's colours (0..255) at ``points`` [n, 3] on the plane."""
-        at = (self.hole.plane.coordinates(points)[:, :2] - self.hole.low) / self.hole.cell + self.margin
-        return sampled(self.rgb, *at.T)
+        return sampled(self.rgb, *self._cells(points)[:, :2].T)
+
+    def gains(self, points: NDArray[np.floating], reach: NDArray[np.floating] | float) -> Float32:
+        """Return [n] the gain at ``points`` [n, 3]; 1 beyond the picture and ``reach`` metres off it."""
+        at = self._cells(points)
+        rows, columns = self.gain.shape
+        own = (at[:, :2] > 0.0).all(axis=1) & (at[:, :2] < (columns - 1, rows - 1)).all(axis=1)
+        own &= np.abs(at[:, 2]) < reach
+        gains = np.ones(len(at), np.float32)
+        gains[own] = sampled(self.gain[..., None], *at[own, :2].T)[:, 0]
+        return gains
+
+    def _cells(self, points: NDArray[np.floating]) -> Float64:
+        """Return [n, 3] column and row in the picture, and metres over the plane."""
+        at = self.hole.plane.coordinates(points)
+        at[:, :2] = (at[:, :2] - self.hole.low) / self.hole.cell + self.margin
+        return at
 
 
 def paint(
@@ -52,12 +71,14 @@ def paint(
     *,
     margin: int,
     tolerance: float,
+    occluder: Occluder | None = None,
 ) -> Surface:
     """Return the plane of ``hole`` as the views show it, seen head-on, what is missing inpainted.
 
     Args:
         margin: cells round the hole that the inpainter sees.
         tolerance: what a view shows lies on the plane within this, metres and share of the depth.
+        occluder: the object, whose shade is taken off; None: the shade stays.
     """
     rows, columns = (size + 2 * margin for size in hole.states.shape)
     at = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2) - margin
@@ -76,10 +97,24 @@ def paint(
     needed = np.pad(hole.needed, margin)
     unknown = ~known.reshape(rows, columns) | needed
     picture = np.rint(255.0 * np.clip(rgb, 0.0, 1.0)).astype(np.uint8).reshape(rows, columns, 3)
-    # What lies farther off than a slope goes on matters to none of the needed cells, and costs much.
-    part = crop_to(needed, margin=_CONTEXT)
-    picture[part] = inpaint(*(np.ascontiguousarray(image[part]) for image in (picture, unknown, needed)))
-    return Surface(hole, picture, margin)
+    # What lies far off matters to none of the needed cells, and costs much.
+    part = crop_to(needed, margin=_SEEN)
+    near = np.ascontiguousarray(picture[part])
+    gain = np.ones((rows, columns), np.float32)
+    if occluder is not None:
+        blocked = _blocked(occluder, points.reshape(rows, columns, 3)[part], hole.plane.axes)
+        gain[part] = relighting(near, ~unknown[part], blocked)
+        near = np.rint(np.minimum(near * gain[part][..., None], 255.0)).astype(np.uint8)
+    picture[part] = inpaint(near, np.ascontiguousarray(unknown[part]), np.ascontiguousarray(needed[part]))
+    return Surface(hole, picture, margin, gain)
+
+
+def _blocked(occluder: Occluder, points: Float64, axes: Float64) -> Float32:
+    """Return [rows, columns] the share of light kept from ``points`` [rows, columns, 3], some looked at."""
+    few = points[::_COARSE, ::_COARSE]
+    shares = occluder.blocked(few.reshape(-1, 3), axes).reshape(few.shape[:2])
+    rows, columns = np.indices(points.shape[:2]) / _COARSE
+    return sampled(shares[..., None], columns.ravel(), rows.ravel()).reshape(points.shape[:2])
 
 
 def _shown(

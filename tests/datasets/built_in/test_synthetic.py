@@ -154,6 +154,16 @@ def test_objects_left_out_change_nothing_else(office):
     assert np.all(without.depth[with_chair.mask == chair] > with_chair.depth[with_chair.mask == chair])
 
 
+def test_shadows_go_with_what_casts_them(office):
+    chair = next(i for i, name in office.class_names.items() if name == "office chair")
+    kept = SyntheticOffice(scale=SCALE, without=(chair,))[49]
+    gone = SyntheticOffice(scale=SCALE, without=(chair,), shade_goes=True)[49]
+    np.testing.assert_array_equal(kept.depth, gone.depth)
+    brighter = gone.rgb.astype(int).mean(axis=2) - kept.rgb.astype(int).mean(axis=2)
+    assert (brighter > 10.0).mean() > 0.02 and (brighter < -2.0).mean() < 0.001
+    assert _same(SyntheticOffice(scale=SCALE, shade_goes=True)[49], office[49])
+
+
 def test_the_bare_wall_fills_a_view():
     office = SyntheticOffice(scale=SCALE, featureless_wall=True)
     wall = next(k for k, name in office.class_names.items() if name == "north wall")

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from ggwarp.editing.inpaint.image_inpainting import (
-    SLOPE,
+    CONTEXT,
     continued,
     inpaint_depth,
     inpaint_opencv,
@@ -51,7 +51,7 @@ def test_what_is_not_wanted_does_not_matter():
     ruined = np.where(mask[..., None], np.uint8(0), picture)
     whole, part = inpaint_shade(ruined, mask, mask), inpaint_shade(ruined, mask, wanted)
     assert np.abs(part[wanted].astype(int) - whole[wanted]).max() <= 1
-    far = mask & (u > 45 + 5 + SLOPE)
+    far = mask & (u > 45 + 5 + CONTEXT)
     np.testing.assert_array_equal(part[far], ruined[far])
 
 
