@@ -142,7 +142,10 @@ class LiveViewer:
     def _send(self, system: Watched, frame: Frame, step: StepReport) -> None:
         self.updates["frames"] += 1
         why = f" {step.reason}" if step.reason else ""
-        self._title.content = f"Frame {step.index}{_MARKS[step.verdict]}{why}: render above, frame below"
+        title = f"Frame {step.index}{_MARKS[step.verdict]}{why}: render above, frame below"
+        if (shown := system.map.count) < step.gaussians:
+            title += f". Shown are {shown} of {step.gaussians} Gaussians: the others are out of memory"
+        self._title.content = title
         if (budget := self._budgets["pictures"]).is_left:
             with budget.spending():
                 self._send_pictures(system, frame, step)

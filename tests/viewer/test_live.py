@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import threading
 import time
 from collections.abc import Iterator
@@ -74,6 +75,13 @@ def test_a_budget_is_a_share_of_the_time():
     assert not budget.is_left
     now[0] = 10.1
     assert budget.is_left
+
+
+def test_it_is_said_what_of_the_map_is_not_shown(viewer, scene):
+    frame, step = _frame(2)
+    for total, is_said in ((len(scene), False), (len(scene) + 70, True)):
+        viewer._send(viewer._system, frame, dataclasses.replace(step, gaussians=total))
+        assert (f"{len(scene)} of {total} Gaussians" in viewer._title.content) is is_said
 
 
 def test_nothing_is_sent_where_nobody_looks(viewer):
