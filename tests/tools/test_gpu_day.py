@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ggwarp import open_dataset
-from gpu_day import check
+from gpu_day import check, frame_profile
 from gpu_day.cases import CASES, TOLERANCES
 from gpu_day.office_sequence import main as write_office
 
@@ -61,6 +61,16 @@ def test_the_office_in_files_is_a_data_set(tmp_path):
     dataset = open_dataset(str(tmp_path / "office"), data_root=tmp_path)
     assert len(dataset) == 2 and dataset.has_depth and dataset.has_masks
     assert dataset[1].T_wc is not None and write_office([]) == 2
+
+
+def test_a_frame_is_taken_apart(tmp_path, capsys):
+    assert write_office(["14", "0.1", str(tmp_path / "office"), "cpu"]) == 0
+    arguments = [str(tmp_path / "office"), "--warm", "2", "--frames", "3", "--device", "cpu"]
+    assert frame_profile.main(arguments) == 0
+    said = capsys.readouterr().out
+    assert "frame: tracking: median" in said and "keyframe: mapping: median" in said
+    assert "Ordered by: internal time" in said and "Ordered by: cumulative time" in said
+    assert "ms a frame in all" in said
 
 
 @pytest.mark.parametrize("script", sorted(SCRIPTS.glob("*.sh")), ids=lambda p: p.name)

@@ -20,7 +20,7 @@ from typing import Any
 import warp as wp
 
 from ggwarp.kernels.camera import CameraIntrinsics
-from ggwarp.kernels.math import rotation_of, transform_point, vec6
+from ggwarp.kernels.math import rotation_of, vec6
 from ggwarp.runtime.launch import launch_split
 
 wp.set_module_options({"enable_backward": False})
@@ -53,26 +53,14 @@ def _lift(u: float, v: float, z: float, camera: CameraIntrinsics):
 
 
 @wp.func
-def _flat(view: wp.array2d[wp.vec4], row: int, column: int, edge: float):
-    """Whether the surface goes on to all four neighbours."""
-    z = view[row, column][3]
-    jump = edge * z
-    ok = z > 0.0
-    ok = ok and wp.abs(view[row, column - 1][3] - z) <= jump
-    ok = ok and wp.abs(view[row, column + 1][3] - z) <= jump
-    ok = ok and wp.abs(view[row - 1, column][3] - z) <= jump
-    return ok and wp.abs(view[row + 1, column][3] - z) <= jump
+def _normal(u: float, v: float, right: float, left: float, down: float, up: float, fx: float, fy: float):
+    """Return the normal, of any length, of the surface at depths beside a pixel's ray (u, v, 1).
 
-
-@wp.func
-def _normal(view: wp.array2d[wp.vec4], row: int, column: int, camera: CameraIntrinsics):
-    u = float(column)
-    v = float(row)
-    right = _lift(u + 1.0, v, view[row, column + 1][3], camera)
-    left = _lift(u - 1.0, v, view[row, column - 1][3], camera)
-    down = _lift(u, v + 1.0, view[row + 1, column][3], camera)
-    up = _lift(u, v - 1.0, view[row - 1, column][3], camera)
-    return wp.normalize(wp.cross(right - left, down - up))
+    A pixel's ray is 1 / fx or 1 / fy from its neighbour's.
+    """
+    across = wp.vec3(u * (right - left) + (right + left) / fx, v * (right - left), right - left)
+    along = wp.vec3(u * (down - up), v * (down - up) + (down + up) / fy, down - up)
+    return wp.cross(across, along)
 
 
 @wp.func
@@ -95,6 +83,19 @@ def _add_rows(total: vec46, P: vec6, Q: vec6, U: vec6, V: vec6, w: float) -> vec
 
 
 @wp.func
+def _add_row(total: vec46, N: vec6, w: float) -> vec46:
+    """Add w N N^T to the pose's block."""
+    k = int(0)
+    for i in range(6):
+        wn = w * N[i]
+        for j in range(i, 6):
+            total[k] += wn * N[j]
+            k += 1
+        k += 2
+    return total
+
+
+@wp.func
 def _twist(x: wp.vec3, q: wp.vec3) -> vec6:
     """Derivative of q . x by tau."""
     m = wp.cross(x, q)
@@ -107,6 +108,9 @@ def _add_pixel(
     observed: wp.array2d[wp.vec4],
     seen: wp.vec4,
     x: wp.vec3,
+    iz: float,
+    u: float,
+    v: float,
     camera: CameraIntrinsics,
     gain: float,
     bias: float,
@@ -114,9 +118,6 @@ def _add_pixel(
     robust: float,
     agreement: float,
 ) -> vec46:
-    iz = 1.0 / x[2]
-    u = camera.fx * x[0] * iz + camera.cx
-    v = camera.fy * x[1] * iz + camera.cy
     inside = u >= 0.0 and v >= 0.0 and u < float(observed.shape[1] - 1) and v < float(observed.shape[0] - 1)
     if inside and agreement > 0.0:
         z = observed[int(v + 0.5), int(u + 0.5)][3]
@@ -147,8 +148,11 @@ def _add_pixel(
         weight, cost = _robust(wp.dot(error, error) * precision, robust)
         w = weight * precision
         # The colours share the pixel's motion: the pose's block is of rank two.
-        U = -_twist(x, wp.vec3(1.0, 0.0, -x[0] * iz))
-        V = -_twist(x, wp.vec3(0.0, 1.0, -x[1] * iz))
+        a0 = x[0] * iz
+        b0 = x[1] * iz
+        # -d (x, y) / d tau, times z.
+        U = vec6(-1.0, 0.0, a0, x[1] * a0, -x[2] - x[0] * a0, x[1])
+        V = vec6(0.0, -1.0, b0, x[2] + x[1] * b0, -x[0] * b0, -x[0])
         uv = wp.dot(across, down)
         total = _add_rows(
             total, wp.dot(across, across) * U + uv * V, uv * U + wp.dot(down, down) * V, U, V, w
@@ -178,13 +182,12 @@ def _add_depth(
     observed: wp.array2d[wp.vec4],
     normal: wp.vec3,
     x: wp.vec3,
+    u: float,
+    v: float,
     camera: CameraIntrinsics,
     noise: float,
     robust: float,
 ) -> vec46:
-    iz = 1.0 / x[2]
-    u = camera.fx * x[0] * iz + camera.cx
-    v = camera.fy * x[1] * iz + camera.cy
     inside = u > -0.5 and v > -0.5
     inside = inside and u < float(observed.shape[1]) - 0.5 and v < float(observed.shape[0]) - 0.5
     if inside:
@@ -197,7 +200,7 @@ def _add_depth(
             weight, _cost = _robust(error * error * precision, robust)
             w = weight * precision
             N = -_twist(x, normal)
-            total = _add_rows(total, N, vec6(), N, vec6(), w)
+            total = _add_row(total, N, w)
             for r in range(6):
                 total[36 + r] += w * error * N[r]
     return total
@@ -225,17 +228,46 @@ def _linearise(
     end = wp.min((piece + 1) * _PIECE, rendered.shape[1] - 1)
     if row == 0 or row == rendered.shape[0] - 1:
         end = begin
+    rotation = rotation_of(motion)
+    shift = wp.vec3(motion[0, 3], motion[1, 3], motion[2, 3])
+    ray_y = (float(row) - camera.cy) / camera.fy
+    step_x = 1.0 / camera.fx
     for column in range(begin, end):
-        if _flat(rendered, row, column, noise[2]):
-            seen = rendered[row, column]
-            x = transform_point(motion, _lift(float(column), float(row), seen[3], camera))
+        seen = rendered[row, column]
+        z = seen[3]
+        jump = noise[2] * z
+        left = rendered[row, column - 1][3]
+        right = rendered[row, column + 1][3]
+        up = rendered[row - 1, column][3]
+        down = rendered[row + 1, column][3]
+        # The surface goes on to all four neighbours.
+        flat = z > 0.0 and wp.abs(left - z) <= jump and wp.abs(right - z) <= jump
+        if flat and wp.abs(up - z) <= jump and wp.abs(down - z) <= jump:
+            ray_x = (float(column) - camera.cx) * step_x
+            x = rotation * wp.vec3(ray_x * z, ray_y * z, z) + shift
             if x[2] > _NEAR:
+                iz = 1.0 / x[2]
+                u = camera.fx * x[0] * iz + camera.cx
+                v = camera.fy * x[1] * iz + camera.cy
                 total = _add_pixel(
-                    total, observed, seen, x, camera, gain, exposure[1], noise[0], noise[1], agreement
+                    total,
+                    observed,
+                    seen,
+                    x,
+                    iz,
+                    u,
+                    v,
+                    camera,
+                    gain,
+                    exposure[1],
+                    noise[0],
+                    noise[1],
+                    agreement,
                 )
                 if noise[3] > 0.0:
-                    normal = rotation_of(motion) * _normal(rendered, row, column, camera)
-                    total = _add_depth(total, observed, normal, x, camera, noise[3], noise[1])
+                    normal = _normal(ray_x, ray_y, right, left, down, up, camera.fx, camera.fy)
+                    normal = rotation * wp.normalize(normal)
+                    total = _add_depth(total, observed, normal, x, u, v, camera, noise[3], noise[1])
     for k in range(46):
         sums[item, k] = total[k]
 
