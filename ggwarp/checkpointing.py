@@ -208,7 +208,9 @@ def _restore(resumed: ResumedRun, slam: Slam, record: RunRecord, reader: FrameRe
             setattr(record, name, restored(getattr(record, name), tree["record"][name], reader.read))
         slam.restore(tree["tracking"], tree["mapping"], reader.read)
         record.reports = list(slam.reports)
-        return unpack(tree["pending"], reader.read)
+        pending = unpack(tree["pending"], reader.read)
+        tree.clear()  # a map is not kept twice
+        return pending
     except StateError as error:
         raise ConfigError(f"{what}: {error}; give the recording that it began with") from None
     except DatasetError:
