@@ -38,8 +38,10 @@ def _logits(
 ) -> vec16:
     w = weights[c]
     z = vec16(biases[c])
-    for k in range(16):
+    k = int(0)
+    while k < 16:
         z += w[k] * image[IDENTITY_PLANE + k, row, block]
+        k += 1
     return z
 
 
