@@ -7,16 +7,17 @@
 # step is printed, the table last. Run it in the repository's root.
 #
 #   gpu_day.sh prepare          on a machine with a network, without a GPU, 8 minutes (2 after the first time); run it again
-#                               after any change of a kernel. Makes two git-ignored folders of what must travel:
-#                                 .gpu/warp/    warp.tar.xz, 59.3 MiB: Warp without its CPU compiler (pack_warp.sh)
-#                                 .gpu/extras/  extras.tar.xz, 2.4 MiB: cubins for sm_90 (ours and gswarp's: no kernel is compiled
+#                               after any change of a kernel. Makes git-ignored folders of what must travel, for the places where no
+#                               more than 64 MiB travel at once in two goes (it says how large they are, the tree included):
+#                                 .gpu/first/   the first 40 MiB of Warp without its CPU compiler (pack_warp.sh)
+#                                 .gpu/second/  the rest of it, 19 MiB
+#                                 .gpu/extras/  extras.tar.xz, 2.7 MiB: cubins for sm_90 (ours and gswarp's: no kernel is compiled
 #                                               there), tyro typeguard docstring_parser simplejpeg, gswarp, gsplat's trimmed
 #                                               sources, results of the CPU to compare with
 #                                 .gpu/gtsam/   gtsam.tar.xz, 10 MiB: for loops and one camera's map
 #                                 .gpu/clang/   clang.tar.xz, 17 MiB: Warp's CPU compiler
-#                               It says how large the tree is with them: where no more than 64 MiB travel at once, Warp goes first.
 #                               Recordings in .gpu/data/, each a folder that --seq reads, are run by bench where they travel, too.
-#   gpu_day.sh unpack           on the GPU machine, where Warp goes first: 10 seconds
+#   gpu_day.sh first            on the GPU machine, with .gpu/first: keeps it
 #   gpu_day.sh checks           on the GPU machine: are the results right?   1-3 minutes, side by side on its cores
 #   gpu_day.sh profile          on the GPU machine: where does it go?        2 minutes; what checks needs .gpu/clang for, too
 #   gpu_day.sh bench            on the GPU machine: how fast?                2-3 minutes
@@ -28,7 +29,7 @@
 # CPU kernels run there only with .gpu/clang (tests that render their input on the CPU, doctor --gpu); the rest does
 # without: the office is rendered on the GPU into files first, and references were made beforehand.
 set -uo pipefail
-what=${1:?prepare, unpack, checks, profile, bench or deep}
+what=${1:?prepare, first, checks, profile, bench or deep}
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
 
 if [ "$what" = prepare ]; then
@@ -78,14 +79,12 @@ PY
     done
     PYTHONPATH="$root:$root/tools" "$python" -m gpu_day.check save "$work/x/reference.npz" --device cpu
     tar --sort=name --mtime=@0 --owner=0 --group=0 -C "$work/x" -cf - . | xz -9e -T1 > .gpu/extras/extras.tar.xz
-    ls -l .gpu/warp .gpu/extras .gpu/gtsam .gpu/clang
-    size() { du -cb "$@" | tail -1 | cut -f1; }
+    mkdir -p .gpu/first .gpu/second
+    head -c $((40 << 20)) .gpu/warp/warp.tar.xz > .gpu/first/warp.tar.xz.1
+    tail -c +$(((40 << 20) + 1)) .gpu/warp/warp.tar.xz > .gpu/second/warp.tar.xz.2
     tree=$(git ls-files -z --cached --others --exclude-standard | xargs -0 du -cb | tail -1 | cut -f1)
-    all=$((tree + $(size .gpu/warp) + $(size .gpu/extras))) warp=$((tree + $(size .gpu/warp)))
-    echo "the tree $((tree >> 10)) KiB, with Warp $((warp >> 10)), with all $((all >> 10)) of 65536"
-    if [ $all -le $((64 << 20)) ]; then echo "carry .gpu/warp and .gpu/extras at once"
-    elif [ $warp -le $((64 << 20)) ]; then echo "carry .gpu/warp first (bash tools/gpu_day/gpu_day.sh unpack), then .gpu/extras alone"
-    else echo "too large: the tree must lose $(((warp >> 10) - 65536)) KiB"; exit 1; fi
+    size() { echo $(((tree + $(du -cb "$@" | tail -1 | cut -f1)) >> 10)); }
+    echo "in KiB with the tree, of 65536 at once: first $(size .gpu/first); second, extras, gtsam, clang $(size .gpu/{second,extras,gtsam,clang})"
     exit
 fi
 
@@ -129,11 +128,17 @@ join() { # waits for what runs beside
 }
 sides=() waited=()
 mkdir -p "$base"
+for part in .gpu/first/warp.tar.xz.1 .gpu/second/warp.tar.xz.2; do
+    if [ -s $part ]; then cp $part "$base"; fi
+done
+[ "$what" != first ] || { ls -l "$base"; exit 0; }
 if [ ! -d "$base/site" ]; then
-    [ -s .gpu/warp/warp.tar.xz ] || { echo "no .gpu/warp/warp.tar.xz here: carry .gpu/warp"; exit 1; }
-    rm -rf "$base/site.part" && mkdir "$base/site.part" && tar -xJf .gpu/warp/warp.tar.xz -C "$base/site.part" && mv "$base/site.part" "$base/site"
+    for part in 1 2; do
+        [ -s "$base/warp.tar.xz.$part" ] || { echo "part $part of Warp is not here: carry .gpu/first, then .gpu/second"; exit 1; }
+    done
+    rm -rf "$base/site.part" && mkdir "$base/site.part"
+    cat "$base"/warp.tar.xz.[12] | tar -xJf - -C "$base/site.part" && mv "$base/site.part" "$base/site"
 fi
-[ "$what" != unpack ] || { ls "$base/site"; exit 0; }
 [ -s .gpu/extras/extras.tar.xz ] || { echo "no .gpu/extras/extras.tar.xz here: carry .gpu/extras"; exit 1; }
 if ! cmp -s .gpu/extras/extras.tar.xz "$base/extras.tar.xz"; then
     rm -rf "$base/x" && mkdir "$base/x" && tar -xJf .gpu/extras/extras.tar.xz -C "$base/x" && cp -r "$base"/x/site/* "$base/site/"

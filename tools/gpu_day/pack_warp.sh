@@ -3,7 +3,7 @@
 # Packs warp-lang for an x86-64 CUDA machine that can install nothing.
 #
 #   tools/gpu_day/pack_warp.sh OUTDIR [VERSION]      # with a network: 4-6 minutes, one file of about 59 MiB
-#   . tools/gpu_day/unpack_warp.sh OUTDIR            # on the CUDA machine: 6 s; puts warp on PYTHONPATH
+#   tar -xJf OUTDIR/warp.tar.xz -C SITE             # on the CUDA machine: 6 s; SITE then belongs on PYTHONPATH
 #
 # The pack holds what importing and NVRTC need: no warp-clang.so, so it runs CUDA
 # kernels only (`cpu` kernels do not compile there). The CUDA driver there must be R580 or newer.
