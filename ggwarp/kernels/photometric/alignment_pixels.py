@@ -95,7 +95,8 @@ def add_pixel(
     """Add the colours of a pixel of the rendered view, where they are compared.
 
     Args:
-        seen: its colour and depth. x: its point, observing camera's frame; iz: 1 / x_z; (u, v): where it appears.
+        seen: its colour and depth.
+        x, iz, u, v: its point in the observing camera's frame, 1 / x_z, and the pixel where it appears.
         gain, bias: e^a and b. noise, robust, agreement: see ``alignment.linearise``.
     """
     inside = u >= 0.0 and v >= 0.0 and u < float(observed.shape[1] - 1) and v < float(observed.shape[0] - 1)
@@ -168,7 +169,7 @@ def add_depth(
     noise: float,
     robust: float,
 ) -> vec46:
-    """Add the depth reading nearest to (u, v), where the point x of a surface with this ``normal`` appears."""
+    """Add the depth reading nearest to (u, v), where the point x of a surface with ``normal`` appears."""
     inside = u > -0.5 and v > -0.5
     inside = inside and u < float(observed.shape[1]) - 0.5 and v < float(observed.shape[0]) - 0.5
     if inside:
