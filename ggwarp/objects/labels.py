@@ -34,31 +34,10 @@ def ranked(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.intp]]:
     return distinct, np.searchsorted(distinct, values)
 
 
-def as_png(labels: Labels) -> NDArray[np.uint8]:
-    """Return ``labels`` [h, w] of -1 to 65534 as a PNG file: a few kilobytes, where they take megabytes."""
-    return np.asarray(cv2.imencode(".png", (labels - _UNKNOWN).astype(np.uint16))[1], np.uint8)
-
-
-def from_png(data: NDArray[np.uint8], shape: tuple[int, ...]) -> Labels:
-    """Return the labels [h, w] of :func:`as_png`.
-
-    Raises:
-        ValueError: it is no such file, or of another ``shape``.
-    """
-    # An image's size is in its first bytes: nothing larger is ever unpacked.
-    height, width = (int.from_bytes(data[at : at + 4].tobytes(), "big") for at in (20, 16))
-    if (height, width) != shape[:2]:
-        raise ValueError(f"labels of {width}x{height} pixels, but the image has {shape[1]}x{shape[0]}")
-    picture = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
-    if picture is None or picture.dtype != np.uint16:
-        raise ValueError("labels are no 16-bit image")
-    return np.asarray(picture, np.int32) + _UNKNOWN
-
-
 def as_runs(labels: Labels) -> NDArray[np.uint16]:
     """Return the runs along rows of ``labels`` [h, w] of -1 to 65534: [2, k] label + 1, and length.
 
-    A tenth of the time that a PNG takes, at several times its size.
+    An eighth of the time that a PNG takes, a fiftieth back, at 1.6 times its size (the office's masks).
     """
     begins = np.ones(labels.shape, bool)
     begins[:, 1:] = labels[:, 1:] != labels[:, :-1]
@@ -76,6 +55,9 @@ def from_runs(
     Raises:
         ValueError: they are no such runs, or of another ``shape``.
     """
+    runs = np.asarray(runs)
+    if runs.ndim != 2 or len(runs) != 2:
+        raise ValueError(f"runs of labels of shape {runs.shape}, not two rows")
     labels, lengths = runs[0].astype(np.int32) + np.int32(_UNKNOWN), runs[1].astype(np.intp)
     if lengths.sum() != shape[0] * shape[1] or lengths.min(initial=0) < 0:
         raise ValueError(f"labels of {lengths.sum()} pixels, but the image has {shape[1]}x{shape[0]}")

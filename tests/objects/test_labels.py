@@ -62,3 +62,5 @@ def test_runs_of_another_picture_are_refused(shape: tuple[int, int]) -> None:
     runs = as_runs(np.zeros((4, 5), np.int32))
     with pytest.raises(ValueError, match=f"{shape[1]}x{shape[0]}"):
         from_runs(runs, shape)
+    with pytest.raises(ValueError, match="not two rows"):
+        from_runs(runs[:1], (4, 5))

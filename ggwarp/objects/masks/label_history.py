@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ggwarp.geometry.voxels import voxel_keys
 from ggwarp.objects.class_table import NO_OBJECT, ClassTable
-from ggwarp.objects.labels import Labels, as_png, contingency, from_png, ranked
+from ggwarp.objects.labels import Labels, as_runs, contingency, from_runs, ranked
 from ggwarp.objects.masks.mask_view import MaskView
 from ggwarp.runtime.state import Stateful
 from ggwarp.types import Float32
@@ -43,7 +43,7 @@ class LabelHistory(Stateful):
         """Prepare to count; ``classes`` says which objects share an id."""
         self._classes = classes
         self._views: Counter[tuple[int, int, int]] = Counter()  # (voxel, object, label)
-        self._kept: dict[int, NDArray[np.uint8]] = {}
+        self._kept: dict[int, NDArray[np.uint16]] = {}
 
     def adopt(self, means: Float32, classes: Labels) -> None:
         """Take the places of an earlier map's objects for established.
@@ -59,7 +59,7 @@ class LabelHistory(Stateful):
 
     def keep(self, index: int, labels: Labels) -> None:
         """Keep the labels that frame ``index`` came with, [h, w]."""
-        self._kept[index] = as_png(labels)
+        self._kept[index] = as_runs(labels)
 
     def kept(self, index: int, shape: tuple[int, ...]) -> Labels | None:
         """Return the labels that frame ``index`` came with, merged since; None: they were not kept.
@@ -69,7 +69,7 @@ class LabelHistory(Stateful):
         """
         if index not in self._kept:
             return None
-        return self._classes.merged(from_png(self._kept[index], shape))
+        return from_runs(self._kept[index], shape, self._classes.merged)
 
     def correct(self, mask: MaskView, *, anew: bool = True) -> MaskView:
         """Take in a view; return it with the labels replaced that are wrong about an object of the map.

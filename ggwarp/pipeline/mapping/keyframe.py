@@ -19,7 +19,7 @@ from ggwarp.geometry import se3
 from ggwarp.kernels.losses.pixel_lines import BYTE_WEIGHT
 from ggwarp.kernels.math import vec6
 from ggwarp.kernels.raster.thinning import thin_planes
-from ggwarp.objects.labels import as_png, from_png
+from ggwarp.objects.labels import as_runs, from_runs
 from ggwarp.runtime.image_store import ImageStore
 from ggwarp.runtime.state import FrameSource, State, Stateful, frame_checksum, into_array, reread
 from ggwarp.runtime.streams import to_host
@@ -156,7 +156,7 @@ class Keyframes(Sequence[Keyframe], Stateful):
         self._fitted: dict[str, wp.array] = {}  # by name, [room, ...]: a row of each keyframe
         self._images = images
         self._left_out: dict[int, NDArray[np.uint8]] = {}  # packed
-        self._packed_labels: dict[int, NDArray[np.uint8]] = {}  # those that have not changed since
+        self._packed_labels: dict[int, NDArray[np.uint16]] = {}  # those that have not changed since
         images.clear()
 
     def __len__(self) -> int:
@@ -241,7 +241,7 @@ class Keyframes(Sequence[Keyframe], Stateful):
         for number in range(len(self)):
             key = number, "labels"
             if key in self._images and number not in self._packed_labels:
-                self._packed_labels[number] = as_png(to_host(self._images.get(key)))
+                self._packed_labels[number] = as_runs(to_host(self._images.get(key)))
         return {
             "indices": self.indices,
             "checksums": [origin.checksum for origin in self.origins],
@@ -263,7 +263,7 @@ class Keyframes(Sequence[Keyframe], Stateful):
         rows = zip(*(state[name] for name in names), strict=True)
         for number, (index, checksum, has_depth, packed) in enumerate(rows):
             frame = frames(index) if index < 0 else reread(frames, index, checksum, with_depth=has_depth)
-            labels = None if packed is None else from_png(packed, frame.rgb.shape[:2])
+            labels = None if packed is None else from_runs(packed, frame.rgb.shape[:2])
             keyframe = upload(frame, np.eye(4), labels, device=self._images.device)
             for name in _FITTED:
                 into_array(getattr(keyframe, name), state["fitted"][name][number])
