@@ -18,7 +18,8 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -44,6 +45,8 @@ ONE_DEVICE = {
 
 _PATIENCE = 4.0
 """Seconds that modules in hand may take to compile when the loading is interrupted."""
+
+_COMPILER_OPTIONS = ("optimization_level", "cpu_compiler_flags")
 
 _ATTEMPTS = 3
 """From the cache, compiled anew, compiled into another folder."""
@@ -186,12 +189,15 @@ def _say_damaged(modules: list[Any]) -> None:
 
 
 def _load_all(modules: list[Any], device: Any) -> None:
-    waiting, ended, errors = list(reversed(modules)), threading.Event(), list[BaseException]()
+    # Each thread's compiler reads Warp's headers once for each set of options, which takes longer than most
+    # modules: threads take modules from both ends.
+    waiting = deque(sorted(modules, key=lambda m: repr([m.options.get(name) for name in _COMPILER_OPTIONS])))
+    ended, errors = threading.Event(), list[BaseException]()
 
-    def work() -> None:
+    def work(take: Callable[[], Any]) -> None:
         with contextlib.suppress(IndexError):  # none is left
             while not ended.is_set():
-                module = waiting.pop()
+                module = take()
                 try:
                     _load_one(module, device)
                 except BaseException as error:
@@ -203,15 +209,16 @@ def _load_all(modules: list[Any], device: Any) -> None:
         0
     )  # not join(): when it is interrupted, Python 3.11 takes the thread for ended
 
-    def worker() -> None:
+    def worker(take: Callable[[], Any]) -> None:
         try:
-            work()
+            work(take)
         finally:
             left.release()
 
     # Daemons, not a pool: the program would wait for a pool's whole queue before it ends.
-    for _ in range(count):
-        threading.Thread(target=worker, name="ggwarp-load", daemon=True).start()
+    for i in range(count):
+        take = waiting.popleft if i % 2 else waiting.pop
+        threading.Thread(target=worker, args=(take,), name="ggwarp-load", daemon=True).start()
     waited = 0
     try:
         while waited < count:

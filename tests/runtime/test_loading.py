@@ -3,6 +3,7 @@ import json
 import os
 import subprocess
 import sys
+from itertools import pairwise
 
 from ggwarp.runtime import loading
 
@@ -38,6 +39,7 @@ def test_an_empty_cache_is_noticed_and_filled(tmp_path):
 
 _INTERRUPTED = """
 import os, signal, time
+from types import SimpleNamespace
 from ggwarp.runtime import loading
 begun = []
 def slow(module, device):
@@ -49,14 +51,39 @@ loading._load_one = slow
 loading.uncompiled = lambda modules, device: []
 os.cpu_count = lambda: 2
 try:
-    loading.load(list(range(50)), "cpu")
+    loading.load([SimpleNamespace(options={})] * 50, "cpu")
 except KeyboardInterrupt:
-    print(begun)
+    print(len(begun))
 """
 
 
+_IN_ORDER = """
+import json, time
+from types import SimpleNamespace
+from ggwarp.runtime import loading
+from threading import current_thread
+taken = {}
+def note(module, device):
+    taken.setdefault(current_thread().ident, []).append(module.options["optimization_level"])
+    time.sleep(0.05)
+loading._load_one = note
+loading.uncompiled = lambda modules, device: []
+loading.os.cpu_count = lambda: 2
+levels = [3, None] * 6
+loading.load([SimpleNamespace(options={"optimization_level": k}) for k in levels], "cpu")
+print(json.dumps(list(taken.values())))
+"""
+
+
+def test_threads_keep_to_modules_of_the_same_options():
+    first, second = json.loads(_run(_IN_ORDER).stdout.splitlines()[-1])
+    assert len(first) + len(second) == 12
+    changes = [sum(a != b for a, b in pairwise(of)) for of in (first, second)]
+    assert first[0] != second[0] and max(changes) <= 1
+
+
 def test_an_interrupted_loading_begins_no_more_modules():
-    assert len(json.loads(_run(_INTERRUPTED).stdout)) == 2
+    assert json.loads(_run(_INTERRUPTED).stdout) == 2
 
 
 def test_warp_starts_without_a_word():
