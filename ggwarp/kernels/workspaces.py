@@ -17,7 +17,6 @@ from ggwarp.kernels.math import vec6, vec16
 from ggwarp.kernels.photometric import affine_exposure
 from ggwarp.kernels.raster.project import Splats
 from ggwarp.kernels.raster.project_adjoint import SlotGradients
-from ggwarp.kernels.raster.sampling import BAND_ROWS
 from ggwarp.kernels.raster.tiles import TileArrays, tiles_across
 
 
@@ -126,7 +125,7 @@ def allocate_identity(
 ) -> cross_entropy.IdentityWorkspace:
     """Allocate the scratch of the cross-entropy for a padded image and up to ``capacity`` classes."""
     by_rows = cross_entropy.runs_by_rows(device)
-    bands = padded_height // int(BAND_ROWS)
+    bands = padded_height // int(cross_entropy_pixels.BAND_ROWS)
     items = bands if by_rows else 0
     parts = bands if by_rows else cross_entropy_pixels.partial_rows(padded_height, padded_width)
     return cross_entropy.IdentityWorkspace(

@@ -50,7 +50,7 @@ class ClassifierConfig:
     """The cross-entropy's gradient also moves, shapes and fades Gaussians, as published; False: identities
     learn and leave the picture as it is without them."""
     sample_stride: int = 4
-    """Identities are rendered and compared on every N-th block of 16 x 4 pixels, drawn for each iteration:
+    """Identities are rendered and compared on every N-th tile of 16 x 16 pixels, drawn for each iteration:
     most of what identities cost goes with their number."""
 
 

@@ -16,11 +16,11 @@ from typing import Any
 import warp as wp
 
 from ggwarp.kernels.identity import cross_entropy_pixels
-from ggwarp.kernels.identity.cross_entropy_pixels import IDENTITY_PLANE
+from ggwarp.kernels.identity.cross_entropy_pixels import BAND_ROWS, BANDS, IDENTITY_PLANE
 from ggwarp.kernels.losses.rgbd import OBJECT
 from ggwarp.kernels.math import VECTOR_OPTIONS, vec16
 from ggwarp.kernels.raster.composite_patches import transpose_quads
-from ggwarp.kernels.raster.sampling import BAND_ROWS, Sample, first_band, in_sample
+from ggwarp.kernels.raster.sampling import Sample, in_sample
 from ggwarp.runtime.launch import launch_split
 
 wp.set_module_options(VECTOR_OPTIONS)
@@ -119,7 +119,7 @@ def _bands_kernel(
     for item in range(rows):
         block = item / BAND_ROWS
         row = band * BAND_ROWS + item - block * BAND_ROWS
-        if not in_sample(band, first_band(block, 0, stride, phase), stride):
+        if not in_sample(block, band / BANDS, stride, phase):
             continue
         lanes = wp.min(16, labels.shape[1] - 16 * block)
         if row >= labels.shape[0]:
@@ -265,7 +265,7 @@ def cross_entropy(
         d_weights, d_biases: like ``weights`` and ``biases``; the first ``classes`` are written.
         losses: ``losses[OBJECT]`` becomes the unweighted L_obj.
         workspace: scratch of this [Hp, Wp], with room for ``classes``.
-        sample: only blocks in it are evaluated, and count ``sample.stride`` times; over random phases the
+        sample: only tiles in it are evaluated, and count ``sample.stride`` times; over random phases the
             gradient's mean is that of all pixels. None: all pixels.
         weight: l_obj.
         device: a Warp device.

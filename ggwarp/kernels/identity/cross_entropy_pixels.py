@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cross-entropy of the identity image in the form for CUDA.
 
-Work goes by the blocks of 16 x 4 pixels that are in the sample: a thread per pixel finds the logarithm of
+Work goes by the sample's tiles, in blocks of 16 x 4 pixels: a thread per pixel finds the logarithm of
 its softmax sum and the gradient of its identity; then a thread per class and every ROWS-th block sums that
 class's part of the classifier's gradient. Neighbouring threads hold neighbouring classes, so a pixel's
 identity is read once a warp. The ROWS sums of a class are added in two steps.
@@ -13,11 +13,17 @@ import warp as wp
 
 from ggwarp.kernels.block import load16
 from ggwarp.kernels.math import vec16
-from ggwarp.kernels.raster.sampling import BAND_ROWS, first_band
+from ggwarp.kernels.raster.sampling import first_tile
 
 wp.set_module_options({"enable_backward": False})
 
 IDENTITY_PLANE = wp.constant(4)
+
+BAND_ROWS = wp.constant(4)
+"""Image rows of a block."""
+
+BANDS = wp.constant(4)
+"""Blocks of a tile, one below the other."""
 
 ROWS = 1024
 """Sums of a class that blocks share at most."""
@@ -31,15 +37,21 @@ _PIXELS = wp.constant(64)
 
 def sampled_blocks(height: int, width: int, stride: int) -> int:
     """Return how many blocks of a padded image a sample has at most."""
-    return width // 16 * -(-(height // int(BAND_ROWS)) // stride)
+    return height // int(BAND_ROWS) * -(-(width // 16) // stride)
 
 
 @wp.func
 def sampled_block(i: int, across: int, stride: int, phase: wp.array[wp.int32]):
-    """Column, in blocks, and band of the i-th block of the sample; the band may lie beyond the image."""
-    turn = i / across
-    column = i - across * turn
-    return column, wp.min(first_band(column, 0, stride, phase), 1 << 20) + turn * stride
+    """Column, in tiles, and band of the i-th block of the sample; the column may lie beyond the image.
+
+    Args:
+        across: tiles of the image in a row.
+    """
+    most = (across + stride - 1) / stride
+    tile = i / BANDS
+    tile_y = tile / most
+    column = wp.min(first_tile(tile_y, stride, phase), 1 << 20) + (tile - tile_y * most) * stride
+    return column, tile_y * BANDS + i - tile * BANDS
 
 
 @wp.func
@@ -70,7 +82,7 @@ def _pixels_kernel(
     block_column, band = sampled_block(block, image.shape[2] / 16, stride, phase)
     row = band * BAND_ROWS + k / 16
     column = block_column * 16 + k % 16
-    if row >= image.shape[1]:
+    if column >= image.shape[2]:
         return
     label = int(-1)
     if row < labels.shape[0] and column < labels.shape[1]:

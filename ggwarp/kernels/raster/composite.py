@@ -70,7 +70,7 @@ def composite(
         splats.rows,
         *_identity_inputs(identities, sample),
     ]
-    kernels = (composite_cpu.forward, composite_cuda.FORWARD[channels])
+    kernels = (composite_cpu.forward, _forms(composite_cuda.FORWARD, channels, sample))
     _launch(kernels, tiles, inputs, [image, transmittance, median_depth], cooperative)
 
 
@@ -119,7 +119,7 @@ def composite_adjoint(
         d_transmittance,
         int(identity_shapes),
     ]
-    kernels = (composite_cpu_adjoint.adjoint, composite_cuda_adjoint.ADJOINT[channels])
+    kernels = (composite_cpu_adjoint.adjoint, _forms(composite_cuda_adjoint.ADJOINT, channels, sample))
     _launch(kernels, tiles, inputs, [out.rows, out.identities], cooperative)
 
 
@@ -129,8 +129,13 @@ def _identity_inputs(identities: wp.array | None, sample: Sample | None) -> list
     return [identities, 1, None] if sample is None else [identities, sample.stride, sample.phase]
 
 
+def _forms(kernels: dict[int, Any], channels: int, sample: Sample | None) -> list[Any]:
+    """Return what to launch for CUDA: with a sample, a kernel for its tiles and one for the others."""
+    return list(kernels.values()) if channels == 20 and sample is not None else [kernels[channels]]
+
+
 def _launch(
-    kernels: tuple[Any, Any],
+    kernels: tuple[Any, list[Any]],
     tiles: TileArrays,
     inputs: list[Any],
     outputs: list[Any],
@@ -141,14 +146,15 @@ def _launch(
     device = outputs[0].device
     count = tiles.tile_ranges.shape[0]
     if cooperative if cooperative is not None else not device.is_cpu:
-        wp.launch_tiled(
-            per_block,
-            dim=count,
-            inputs=inputs,
-            outputs=outputs,
-            block_dim=composite_cuda.BLOCK,
-            device=device,
-        )
+        for kernel in per_block:
+            wp.launch_tiled(
+                kernel,
+                dim=count,
+                inputs=inputs,
+                outputs=outputs,
+                block_dim=composite_cuda.BLOCK,
+                device=device,
+            )
     else:
         tasks = -(-count // TILES)
         launch_split(on_cpu, tasks, inputs=inputs, outputs=outputs, device=device, min_piece=_MIN_TASKS)

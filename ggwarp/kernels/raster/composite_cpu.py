@@ -27,7 +27,7 @@ from ggwarp.kernels.raster.composite_patches import (
     vec16i,
 )
 from ggwarp.kernels.raster.project import LOG_ALPHA_MIN
-from ggwarp.kernels.raster.sampling import first_band, in_sample
+from ggwarp.kernels.raster.sampling import in_sample
 
 wp.set_module_options(VECTOR_OPTIONS)
 
@@ -161,8 +161,7 @@ def forward(
     for tile in range(first_tile, wp.min(first_tile + TILES, tile_ranges.shape[0])):
         tile_y = tile // tiles_x
         tile_x = tile - tile_y * tiles_x
-        sampled = first_band(tile_x, tile_y, stride, phase)
-        with_identity = sampled < 4
+        with_identity = in_sample(tile_x, tile_y, stride, phase)
         for patch in range(patches):
             state[patch] = patch_state()
             state_lines[patch * 6 + 4] = vec16(1.0)
@@ -183,7 +182,7 @@ def forward(
                     count = counts[patch]
                     head = patch * CHUNK
                     _blend(count, head, patch, lists, splats, pixels, state, weights)
-                    if in_sample(patch >> 2, sampled, stride):
+                    if with_identity:
                         _blend_identities(count, head, patch, lists, codes, weights, identity_state)
             begin += size
             if opaque == 1:
@@ -200,7 +199,7 @@ def forward(
                 median_quads[at] = state_quads[source + 20]
                 at += 1
                 source += 24
-            if in_sample(row >> 2, sampled, stride):
+            if with_identity:
                 at += 4 * plane - 4
                 source = (row & 12) * 64 + (row & 3)
                 for _ in range(4):

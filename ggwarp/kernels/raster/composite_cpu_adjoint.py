@@ -43,7 +43,7 @@ from ggwarp.kernels.raster.composite_patches import (
     vec8,
     vec16i,
 )
-from ggwarp.kernels.raster.sampling import first_band, in_sample
+from ggwarp.kernels.raster.sampling import in_sample
 
 wp.set_module_options(VECTOR_OPTIONS)
 
@@ -155,14 +155,12 @@ def adjoint(
     for tile in range(first_tile, wp.min(first_tile + TILES, tile_ranges.shape[0])):
         tile_y = tile // tiles_x
         tile_x = tile - tile_y * tiles_x
-        sampled = first_band(tile_x, tile_y, stride, phase)
-        with_identity = sampled < 4
+        with_identity = in_sample(tile_x, tile_y, stride, phase)
         load_tile(
             tile_y * 16 * tiles_x + tile_x,
             tiles_x,
             plane,
-            sampled,
-            stride,
+            with_identity,
             identity_shapes,
             image_lines,
             T_lines,
@@ -177,7 +175,7 @@ def adjoint(
         for patch in range(patches):
             transmittances[patch] = vec16(1.0)
             turn_patch(patch, g_quads, weight_quads)
-            if in_sample(patch >> 2, sampled, stride):
+            if with_identity:
                 turn_identities(patch, g_identity_quads, turned_quads)
         pairs = tile_ranges[tile]
         begin = pairs[0]
@@ -198,9 +196,8 @@ def adjoint(
                 if count > 0 and any_at_least(transmittances[patch], TRANSMITTANCE_MIN):
                     head = patch * CHUNK
                     gp = g[patch]
-                    looked_at = in_sample(patch >> 2, sampled, stride)
                     take_products(count, head, lists, splats, gp, products)
-                    if looked_at and identity_shapes != 0:
+                    if with_identity and identity_shapes != 0:
                         add_identity_products(count, head, lists, codes, g_identity[patch], products)
                     walk(
                         count,
@@ -216,7 +213,7 @@ def adjoint(
                         weights,
                         slopes,
                     )
-                    if looked_at:
+                    if with_identity:
                         add_identities(count, head, lists, weights, turned[patch], identity_sums)
                     add_shapes(count, head, lists, weights, slopes, by_weight[patch], by_slope[patch], sums)
             k = int(0)

@@ -17,7 +17,6 @@ from ggwarp.kernels.raster.composite_patches import (
     vec8,
 )
 from ggwarp.kernels.raster.project import LOG_ALPHA_MIN
-from ggwarp.kernels.raster.sampling import in_sample
 
 wp.set_module_options({"enable_backward": False})
 
@@ -31,8 +30,7 @@ def load_tile(
     first_line: int,
     lines_across: int,
     plane: int,
-    first_sampled: int,
-    stride: int,
+    with_identity: bool,
     identity_shapes: int,
     image: wp.array[vec16],
     transmittance: wp.array[vec16],
@@ -44,7 +42,7 @@ def load_tile(
     line: wp.array[vec16],
     line_quads: wp.array[wp.vec4],
 ):
-    """Load d_image by patch and channel, and R before the first splat; ``first_sampled``: of its bands."""
+    """Load d_image by patch and channel, and R before the first splat."""
     row = int(0)
     while row < 16:
         at = first_line + row * lines_across
@@ -60,7 +58,7 @@ def load_tile(
             at += plane
             to += 4
             c += 1
-        if in_sample(row >> 2, first_sampled, stride):
+        if with_identity:
             to = (row & ~3) * 64 + (row & 3)
             c = int(0)
             while c < 16:

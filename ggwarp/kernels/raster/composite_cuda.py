@@ -23,7 +23,7 @@ from ggwarp.kernels.raster.composite_patches import (
     on_tile,
 )
 from ggwarp.kernels.raster.project import LOG_ALPHA_MIN
-from ggwarp.kernels.raster.sampling import first_band, in_sample
+from ggwarp.kernels.raster.sampling import in_sample
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 16})
 
@@ -70,7 +70,7 @@ def patches_met(s: vec16) -> int:
 def _make_forward(channels: int):
     with_identity = channels == 20
 
-    @wp.kernel(name=f"composite_cuda_{channels}", launch_bounds=(BLOCK, 4))
+    @wp.kernel(name=f"composite_cuda_{channels}", launch_bounds=(BLOCK, 4 if with_identity else 5))
     def forward(
         tiles_x: int,
         pair_slots: wp.array[int],
@@ -88,6 +88,9 @@ def _make_forward(channels: int):
         lane = thread & 255
         tile_y = tile / tiles_x
         tile_x = tile - tile_y * tiles_x
+        # The other kernel's; the same for the whole block.
+        if in_sample(tile_x, tile_y, stride, phase) != wp.static(with_identity):
+            return
         codes = wp.array(ptr=identities.ptr, shape=(4 * identities.shape[0],), dtype=wp.vec4)
         # Of the k-th splat: at k the factors of dx^2, dx dy, dy^2 in ln alpha, and ln opacity; at 256 + k
         # centre and slope; at 512 + k colour and depth.
@@ -96,9 +99,6 @@ def _make_forward(channels: int):
         words = wp.tile_empty(shape=WORDS, dtype=int, storage="shared")
         x = float(pixel_column(lane))
         y = float(pixel_row(lane))
-        sampled = first_band(tile_x, tile_y, stride, phase)
-        # The same for a whole warp.
-        looked_at = in_sample(pixel_row(lane) >> 2, sampled, stride)
         head = wp.vec4()
         e0 = wp.vec4()
         e1 = wp.vec4()
@@ -142,17 +142,16 @@ def _make_forward(channels: int):
                         head[2] += f[2] * w
                         head[3] += depth * w
                         if wp.static(with_identity):
-                            if looked_at:
-                                at = 4 * gaussians[k]
-                                c0 = load4(codes, at)
-                                c1 = load4(codes, at + 1)
-                                c2 = load4(codes, at + 2)
-                                c3 = load4(codes, at + 3)
-                                for c in range(4):
-                                    e0[c] += c0[c] * w
-                                    e1[c] += c1[c] * w
-                                    e2[c] += c2[c] * w
-                                    e3[c] += c3[c] * w
+                            at = 4 * gaussians[k]
+                            c0 = load4(codes, at)
+                            c1 = load4(codes, at + 1)
+                            c2 = load4(codes, at + 2)
+                            c3 = load4(codes, at + 3)
+                            for c in range(4):
+                                e0[c] += c0[c] * w
+                                e1[c] += c1[c] * w
+                                e2[c] += c2[c] * w
+                                e3[c] += c3[c] * w
                         after = T - w
                         if T >= 0.5 and after < 0.5:
                             median = depth
@@ -170,12 +169,11 @@ def _make_forward(channels: int):
         for c in range(4):
             image[c, row, column] = head[c]
         if wp.static(with_identity):
-            if looked_at:
-                for c in range(4):
-                    image[4 + c, row, column] = e0[c]
-                    image[8 + c, row, column] = e1[c]
-                    image[12 + c, row, column] = e2[c]
-                    image[16 + c, row, column] = e3[c]
+            for c in range(4):
+                image[4 + c, row, column] = e0[c]
+                image[8 + c, row, column] = e1[c]
+                image[12 + c, row, column] = e2[c]
+                image[16 + c, row, column] = e3[c]
         transmittance[row, column] = T
         median_depth[row, column] = median
 

@@ -54,7 +54,7 @@ from ggwarp.kernels.raster.composite_patches import (
     vec8,
 )
 from ggwarp.kernels.raster.project import LOG_ALPHA_MIN
-from ggwarp.kernels.raster.sampling import first_band, in_sample
+from ggwarp.kernels.raster.sampling import in_sample
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 16})
 
@@ -97,6 +97,9 @@ def _make_adjoint(channels: int):
         member = lane & 31
         tile_y = tile / tiles_x
         tile_x = tile - tile_y * tiles_x
+        # The other kernel's; the same for the whole block.
+        if in_sample(tile_x, tile_y, stride, phase) != wp.static(with_identity):
+            return
         codes = wp.array(ptr=identities.ptr, shape=(4 * identities.shape[0],), dtype=wp.vec4)
         image_quads = wp.array(
             ptr=d_image.ptr, shape=(d_image.shape[0] * d_image.shape[1] * tiles_x * 4,), dtype=wp.vec4
@@ -132,9 +135,6 @@ def _make_adjoint(channels: int):
         to_patch = (
             4 * to_channel + (tile_y * 16 + (warp >> 1) * 4) * tiles_x * 4 + tile_x * 4 + (warp & 1) * 2
         )
-        sampled = first_band(tile_x, tile_y, stride, phase)
-        # The same for a whole warp.
-        looked_at = in_sample(pixel_row(lane) >> 2, sampled, stride)
         g = wp.vec4()
         # What the splats behind the one at hand, and the transmittance, add to the loss.
         rest = transmittance[row, column] * d_transmittance[row, column]
@@ -148,17 +148,16 @@ def _make_adjoint(channels: int):
             g1 = wp.vec4()
             g2 = wp.vec4()
             g3 = wp.vec4()
-            if looked_at:
-                for c in range(4):
-                    g0[c] = d_image[4 + c, row, column]
-                    g1[c] = d_image[8 + c, row, column]
-                    g2[c] = d_image[12 + c, row, column]
-                    g3[c] = d_image[16 + c, row, column]
-                    if identity_shapes != 0:
-                        rest += g0[c] * image[4 + c, row, column]
-                        rest += g1[c] * image[8 + c, row, column]
-                        rest += g2[c] * image[12 + c, row, column]
-                        rest += g3[c] * image[16 + c, row, column]
+            for c in range(4):
+                g0[c] = d_image[4 + c, row, column]
+                g1[c] = d_image[8 + c, row, column]
+                g2[c] = d_image[12 + c, row, column]
+                g3[c] = d_image[16 + c, row, column]
+                if identity_shapes != 0:
+                    rest += g0[c] * image[4 + c, row, column]
+                    rest += g1[c] * image[8 + c, row, column]
+                    rest += g2[c] * image[12 + c, row, column]
+                    rest += g3[c] * image[16 + c, row, column]
         T = float(1.0)
         pairs = tile_ranges[tile]
         begin = pairs[0]
@@ -216,7 +215,7 @@ def _make_adjoint(channels: int):
                             q += f[0] * g[0] + f[1] * g[1] + f[2] * g[2]
                             q += (f[3] + dx * place[2] + dy * place[3]) * g[3]
                             if wp.static(with_identity):
-                                if looked_at and identity_shapes != 0:
+                                if identity_shapes != 0:
                                     at = 4 * gaussians[k]
                                     q += wp.dot(load4(codes, at), g0)
                                     q += wp.dot(load4(codes, at + 1), g1)
@@ -233,21 +232,20 @@ def _make_adjoint(channels: int):
                         count += 1
                     sync_warp()
                     if wp.static(with_identity):
-                        if looked_at:
-                            channels = member >> 3
-                            a, b = code_sums(
-                                walked,
-                                warp * WARP_QUADS + (member & 7) * ROW_QUADS,
-                                image_quads,
-                                to_patch + channels * 4 * to_channel,
-                                tiles_x * 4,
-                                to_channel,
-                            )
-                            to_code = warp * SUM_QUADS + 32 * channels
-                            if (member & 7) < count:
-                                put_quad(code_parts, to_code + low, a)
-                            if (member & 7) + 8 < count:
-                                put_quad(code_parts, to_code + high, b)
+                        channels = member >> 3
+                        a, b = code_sums(
+                            walked,
+                            warp * WARP_QUADS + (member & 7) * ROW_QUADS,
+                            image_quads,
+                            to_patch + channels * 4 * to_channel,
+                            tiles_x * 4,
+                            to_channel,
+                        )
+                        to_code = warp * SUM_QUADS + 32 * channels
+                        if (member & 7) < count:
+                            put_quad(code_parts, to_code + low, a)
+                        if (member & 7) + 8 < count:
+                            put_quad(code_parts, to_code + high, b)
                     p0, p1 = head_sums(walked, gradients, to_row, to_half, x0, y0)
                     p2, p3 = moments(walked, to_row + GROUP * ROW_QUADS, x0, y0)
                     p0 += from_other_half(p0, walked, warp * WARP_QUADS, member)
@@ -273,8 +271,9 @@ def _make_adjoint(channels: int):
                     put_quad(sums, lane, total)
                 if wp.static(with_identity):
                     if lane >= SUM_QUADS and base + member < size:
+                        # The stride is never 0 here: unasked, all parts are read ahead, and registers spill.
                         for p in range(WARPS):
-                            if (summed[p] & (1 << member)) != 0 and in_sample(p >> 1, sampled, stride):
+                            if (summed[p] & (1 << member)) != 0 and stride > 0:
                                 total += code_parts[p * SUM_QUADS + (lane & 127)]
                         store4(code_rows, 4 * slots[base | member] + (warp & 3), total)
                 sync_block()
@@ -295,6 +294,9 @@ def _make_adjoint(channels: int):
                         vec8(s2[0], s2[1], s2[2], s2[3], s3[0], s3[1], 0.0, 0.0),
                     )  # fmt: skip
                     store16(slot_rows, slots[k], found)
+                    if wp.static(not with_identity):
+                        if stride > 0:
+                            store16(slot_identities, slots[k], vec16())
                 base += 32
             # Also the barrier before shared memory is written again.
             clear = wp.tile_sum(wp.tile(wp.where(T >= TRANSMITTANCE_MIN, 1, 0)))
@@ -303,7 +305,7 @@ def _make_adjoint(channels: int):
         for pair in range(begin + lane, pairs[1], BLOCK):
             slot = pair_slots[pair]
             store16(slot_rows, slot, vec16())
-            if wp.static(with_identity):
+            if stride > 0:
                 store16(slot_identities, slot, vec16())
 
     return adjoint

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where an iteration looks at identities: a share of the image's bands of 4 rows, drawn anew each time.
+"""Where an iteration looks at identities: a share of the image's tiles, drawn anew each time.
 
-A tile's column (16 pixels) has every ``stride``-th band, each column 3 bands after its neighbour: wherever
-an object is, some of it is seen. A band of a tile is a row of patches on a CPU, two warps on CUDA: whole
-registers, and whole warps, skip identities together.
+A row of tiles has every ``stride``-th one, each row two tiles after the one above: wherever an object is,
+some of it is seen soon. Whole tiles, as their pixels share the work: a tile's warps wait for one another,
+and where none looks at identities the lighter kernel does.
 """
 
 from __future__ import annotations
@@ -15,15 +15,12 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-BAND_ROWS = wp.constant(4)
-"""Image rows of a band."""
-
-_SHIFT = wp.constant(3)
+_SHIFT = wp.constant(2)
 
 
 @dataclass(frozen=True)
 class Sample:
-    """Blocks of 16 x 4 pixels: one in ``stride``.
+    """Tiles of 16 x 16 pixels: one in ``stride``.
 
     Attributes:
         stride: 1: all of them.
@@ -36,23 +33,23 @@ class Sample:
 
 
 @wp.func
-def first_band(tile_x: int, tile_y: int, stride: int, phase: wp.array[int]) -> int:
-    """First band in the sample, from a tile's top down; every ``stride``-th after it is in it, too.
+def first_tile(tile_y: int, stride: int, phase: wp.array[int]) -> int:
+    """Column of the first tile in the sample in a row of tiles; every ``stride``-th after it is in it, too.
 
-    Far below where there is none: with ``stride`` 0 or a negative phase. No ``phase`` array: phase 0.
+    Far beyond where there is none: with ``stride`` 0 or a negative phase. No ``phase`` array: phase 0.
     """
     first = int(0)
     if phase:
         first = phase[0]
     if stride < 1 or first < 0:
         return 1 << 30
-    # -4 tile_y, kept positive.
-    return (first + _SHIFT * tile_x + 4 * (stride - 1) * tile_y) % stride
+    return (first + _SHIFT * tile_y) % stride
 
 
 @wp.func
-def in_sample(band: int, first: int, stride: int) -> bool:
-    """Whether a band is in the sample; it and ``first`` (:func:`first_band`) count from one tile's top."""
-    if band < first:
+def in_sample(tile_x: int, tile_y: int, stride: int, phase: wp.array[int]) -> bool:
+    """Whether a tile is in the sample."""
+    first = first_tile(tile_y, stride, phase)
+    if tile_x < first:
         return False
-    return (band - first) % stride == 0
+    return (tile_x - first) % stride == 0
