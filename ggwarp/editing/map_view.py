@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import copy
 import heapq
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -40,6 +41,12 @@ class MapView:
         self._map.append(gaussians)
         self._renderer = Renderer(self._map, camera)
         self._painted = wp.zeros_like(self._map.fields["colours"])
+
+    def through(self, camera: Camera) -> MapView:
+        """Return the same map's views through another camera; the map is not uploaded again."""
+        other = copy.copy(self)
+        other.camera, other._renderer = camera, Renderer(self._map, camera)
+        return other
 
     def render(self, T_wc: Float64, *, window: Window | None = None) -> Rendered:
         """Return the map's view from ``T_wc`` [4, 4]; nothing outside of a ``window``, of whole tiles."""

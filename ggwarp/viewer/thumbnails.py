@@ -37,9 +37,9 @@ def thumbnails(run: SavedRun, *, device: Any = "cpu") -> Iterator[tuple[int, NDA
     named = np.array([record.id for record in run.objects], int)
     areas = np.zeros((len(rows), len(named)), np.float32)
     everywhere = np.ones((run.camera.height, run.camera.width), bool)
+    known, inverse = np.unique(ids, return_inverse=True)
     for k, row in enumerate(rows.tolist()):
         weights = view.weights(run.poses[row], everywhere)[0]
-        known, inverse = np.unique(ids, return_inverse=True)
         shares = np.bincount(inverse, weights=weights, minlength=len(known))
         areas[k] = [shares[known == i].sum() for i in named]
         yield None
@@ -49,7 +49,7 @@ def thumbnails(run: SavedRun, *, device: Any = "cpu") -> Iterator[tuple[int, NDA
             continue
         T_wc = run.poses[rows[best]]
         own = ids == identifier
-        close = MapView(run.gaussians, _closer(run.camera, view.coverage(T_wc, own)[0]), device=device)
+        close = view.through(_closer(run.camera, view.coverage(T_wc, own)[0]))
         rgb, coverage = close.render(T_wc).rgb, close.coverage(T_wc, own)[0]
         picture = np.float32(_LIT) * rgb + np.float32(1.0 - _LIT) * lit(rgb, coverage)
         yield identifier, as_bytes(np.asarray(picture, np.float32))

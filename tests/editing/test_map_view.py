@@ -19,6 +19,15 @@ def test_coverage_shares_a_pixel_out(run_folder, device):
     assert before.rgb[31, 31, 0] > 0.8 and before.rgb[31, 31, 1] < 0.2
 
 
+def test_another_camera_sees_the_same_map(run_folder, device):
+    run = load_run(run_folder)
+    view, small = MapView(run.gaussians, run.camera, device=device), run.camera.resized(40, 30)
+    found = view.through(small).render(run.poses[2])
+    wanted = MapView(run.gaussians, small, device=device).render(run.poses[2])
+    np.testing.assert_array_equal(found.rgb, wanted.rgb)
+    assert view.render(run.poses[2]).rgb.shape == (run.camera.height, run.camera.width, 3)
+
+
 def test_weights_share_the_pixels_out(run_folder, device):
     run = load_run(run_folder)
     view = MapView(run.gaussians, run.camera, device=device)
