@@ -18,7 +18,7 @@ from typing import Any
 import tyro
 from rich.console import Console
 
-from benchmarking import kernels, plots, scaling, system, tracking
+from benchmarking import kernels, plots, scaling, system, tracking, watched
 from benchmarking.cubins import resources
 from benchmarking.endurance import memory
 from benchmarking.options import BenchmarkError, check_out
@@ -34,6 +34,7 @@ SUBCOMMANDS: dict[str, tuple[Any, Callable[[Any], Record]]] = {
     "system": (system.SystemOptions, system.run),
     "scaling": (scaling.ScalingOptions, scaling.run),
     "memory": (memory.MemoryOptions, memory.run),
+    "watched": (watched.WatchedOptions, watched.run),
     "resources": (resources.ResourcesOptions, resources.run),
 }
 """Name -> its options and what it runs."""
