@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from ggwarp.geometry import se3, sim3
 from ggwarp.geometry.camera import Camera
+from ggwarp.geometry.pixel_grid import PixelGrid
 from ggwarp.geometry.view_volume import COLUMNS, ROWS, Bools, ViewVolume, reach_of, same_reach
 from ggwarp.map.cells import Cells, nearest
 from ggwarp.map.gaussian_map import GROWTH, GaussianMap
@@ -73,6 +74,7 @@ class Submaps(Stateful):
             budget: None: all of the map stays on the device.
         """
         self._map, self._volume, self._budget = gaussians, ViewVolume(camera), budget
+        self._grid = PixelGrid.of(camera)
         folder = None if budget is None else budget.folder
         self._store = ImageStore(device=gaussians.device, budget=0, folder=folder, level=0)
         self._submaps: list[Submap] = []
@@ -105,7 +107,8 @@ class Submaps(Stateful):
             depth: [h, w] metres, 0 = none; None: nothing is known of it.
             bounded: whether it sees nothing beyond that; it may where depth is an estimate.
         """
-        readings = np.zeros(0) if depth is None else depth[depth > 0.0]
+        readings = np.zeros(0) if depth is None else self._grid.thinned(depth)
+        readings = readings[readings > 0.0]
         middle = T_wc[:3, 3] + float(np.median(readings) if len(readings) else 0.0) * T_wc[:3, 2]
         reach = reach_of(depth) if bounded and depth is not None else same_reach(math.inf)
         number = self._looked_at(T_wc, reach, middle)
