@@ -69,14 +69,12 @@ class Submaps(Stateful):
         """Begin without keyframes.
 
         Args:
-            gaussians: the map, empty.
-            camera: of the keyframes and of all views.
+            gaussians: the map, empty. camera: of the keyframes and of all views.
             budget: None: all of the map stays on the device.
         """
-        self._map, self._volume, self._budget = gaussians, ViewVolume(camera), budget
-        self._grid = PixelGrid.of(camera)
-        folder = None if budget is None else budget.folder
-        self._store = ImageStore(device=gaussians.device, budget=0, folder=folder, level=0)
+        self._map, self._budget = gaussians, budget
+        self._volume, self._grid = ViewVolume(camera), PixelGrid.of(camera)
+        self._store = ImageStore(device=gaussians.device, budget=0, folder=budget and budget.folder, level=0)
         self._submaps: list[Submap] = []
         self._submap_of = np.zeros(0, np.int32)  # by keyframe, as the next two
         self._poses, self._reaches = np.zeros((0, 4, 4)), np.zeros((0, ROWS, COLUMNS), np.float32)
@@ -107,9 +105,8 @@ class Submaps(Stateful):
             depth: [h, w] metres, 0 = none; None: nothing is known of it.
             bounded: whether it sees nothing beyond that; it may where depth is an estimate.
         """
-        readings = np.zeros(0) if depth is None else self._grid.thinned(depth)
-        readings = readings[readings > 0.0]
-        middle = T_wc[:3, 3] + float(np.median(readings) if len(readings) else 0.0) * T_wc[:3, 2]
+        few = np.zeros(0) if depth is None else self._grid.thinned(depth)
+        middle = T_wc[:3, 3] + float(np.median(few[few > 0.0]) if (few > 0.0).any() else 0.0) * T_wc[:3, 2]
         reach = reach_of(depth) if bounded and depth is not None else same_reach(math.inf)
         number = self._looked_at(T_wc, reach, middle)
         if number is None:

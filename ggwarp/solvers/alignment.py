@@ -36,8 +36,11 @@ _LEVELS = 3
 _ITERATIONS = 6
 """Steps at each size at most."""
 
-_TOLERANCE = 1e-5
-"""A size is done when a step is smaller, metres and radians."""
+_SETTLED = 0.1
+"""A size is done when a step is smaller, in standard deviations of what its own pixels say."""
+
+_LEAST_PIXELS = 10 * alignment.PARAMETERS
+"""A smaller picture that has fewer to compare decides nothing: ten observations an unknown."""
 
 _COLOUR_NOISE = 0.05
 """Standard deviation of a colour, 0..1."""
@@ -78,7 +81,7 @@ class Alignment:
         systems: of each reference at the finest size, one step before the end.
         information: [6, 6] of tau, inverse covariance if the noise is what it is taken for: of all references
             and the prior, whatever the exposures are.
-        converged: whether the last step was below the tolerance.
+        converged: whether the last step was a small part of its standard deviation.
         iterations: steps in all.
     """
 
@@ -227,6 +230,8 @@ class Aligner:
             for _ in range(_ITERATIONS):
                 pairs = zip(references, exposures, strict=True)
                 systems = [self.linearise(level, T, e, reference) for reference, e in pairs]
+                if level > self._finest and sum(s.pixels for s in systems) < _LEAST_PIXELS:
+                    break
                 # A coarse pixel stands for the fine ones under it.
                 share = 4.0 ** (level - self._finest)
                 H, gradient = joint_equations(systems, share, T, exposures, prior)
@@ -235,7 +240,7 @@ class Aligner:
                 changes = step[POSE:].reshape(-1, 2).tolist()
                 exposures = [(a + da, b + db) for (a, b), (da, db) in zip(exposures, changes, strict=True)]
                 iterations += 1
-                converged = bool(max(np.linalg.norm(step[:3]), np.linalg.norm(step[3:6])) < _TOLERANCE)
+                converged = bool(step @ H @ step < share * _SETTLED**2)
                 if converged:
                     break
         T_cw = se3.orthonormalised(T)

@@ -27,7 +27,8 @@ def seen_from(T_cw: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return 0.5 + 0.35 * np.stack(waves, -1), depth
 
 
-def aligner(T_rw: np.ndarray, picture: np.ndarray, device: str) -> Aligner:
+def aligner(T_rw: np.ndarray, picture: np.ndarray, device: str, holes: np.ndarray | None = None) -> Aligner:
+    """Return one that looks for ``picture`` in a render from ``T_rw``, transparent in ``holes`` [96, 128]."""
     colour, depth = seen_from(T_rw)
     shape = (96, 128)
     image = np.zeros((4, *shape), np.float32)
@@ -35,8 +36,8 @@ def aligner(T_rw: np.ndarray, picture: np.ndarray, device: str) -> Aligner:
     image[3, : CAMERA.height, : CAMERA.width] = depth
     made = Aligner(CAMERA, device=device)
     made.take_picture(np.clip(255.0 * picture + 0.5, 0, 255).astype(np.uint8))
-    transmittance = wp.zeros(shape, dtype=wp.float32, device=device)
-    made.take_render(wp.array(image, device=device), transmittance, T_rw)
+    transmittance = np.zeros(shape, np.float32) if holes is None else holes.astype(np.float32)
+    made.take_render(wp.array(image, device=device), wp.array(transmittance, device=device), T_rw)
     return made
 
 
@@ -74,6 +75,16 @@ def test_a_blank_picture_moves_nothing(device: str) -> None:
     found = aligner(np.eye(4), np.full((CAMERA.height, CAMERA.width, 3), 0.5), device).align(np.eye(4))
     assert np.isfinite(found.T_cw).all()
     assert np.abs(se3.se3_log(found.T_cw)).max() < 1e-6
+
+
+def test_a_small_picture_of_hardly_anything_decides_nothing(device: str, rng: np.random.Generator) -> None:
+    holes = np.zeros((96, 128), bool)
+    holes[1::4, 1::4] = True  # one in each pixel of the smallest picture...
+    holes[36:56, 40:64] = False  # ... but a few, where the picture shows something else
+    picture = seen_from(TRUE)[0]
+    picture[36:56, 40:64] = rng.random((20, 24, 3))
+    found = aligner(np.eye(4), picture, device, holes).align(se3.se3_exp(0.6 * se3.se3_log(TRUE)))
+    assert np.abs(se3.se3_log(found.T_cw @ se3.inverse(TRUE))).max() < 5e-3
 
 
 @pytest.mark.parametrize("size", [(120, 91), (33, 16)])
