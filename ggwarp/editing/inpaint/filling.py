@@ -24,7 +24,7 @@ from ggwarp.editing.inpaint.holes import HoleConfig, PlaneHole, find_holes, hits
 from ggwarp.editing.inpaint.image_inpainting import Inpaint, inpaint_depth, inpaint_shade
 from ggwarp.editing.inpaint.object_views import ObjectView, share_in_the_clear, view_object, world_rays
 from ggwarp.editing.inpaint.plane_texture import Surface, paint
-from ggwarp.editing.inpaint.shade import Occluder
+from ggwarp.editing.inpaint.shade import Shade
 from ggwarp.editing.map_view import MapView, best_views
 from ggwarp.editing.progress import Progress, part_of, silent
 from ggwarp.editing.windows import window_of
@@ -114,9 +114,9 @@ def fill_removed(
     # What lies on a hole, though no view ever saw it rightly, makes room.
     kept = remove(kept, _over(holes, kept, config))
     on_plane = config.holes.tolerance
-    occluder = Occluder.of(whole.means[removed]) if config.shade else None
+    shade = Shade.of(whole, removed) if config.shade else None
     surfaces = [
-        paint(h, object_views, camera, inpaint, margin=config.margin, tolerance=on_plane, occluder=occluder)
+        paint(h, object_views, camera, inpaint, margin=config.margin, tolerance=on_plane, shade=shade)
         for h in holes
     ]
     kept = _relit(kept, surfaces, config)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from ggwarp.editing.inpaint.shade import NOTICED
+from ggwarp.editing.inpaint.shade import NOTICED, most_gain
 from ggwarp.types import Float32, Float64
 
 Bools = NDArray[np.bool_]
@@ -60,17 +60,17 @@ def inpaint_shade(rgb: Picture, mask: Bools, wanted: Bools) -> Picture:
     return np.where(open_[..., None], np.rint(filled), colour).astype(np.uint8)
 
 
-def relighting(rgb: Picture, known: Bools, blocked: Float32) -> Float32:
+def relighting(rgb: Picture, known: Bools, lost: Float32) -> Float32:
     """Return [h, w] by how much ``rgb`` becomes brighter when what blocks its light goes, 1 or more.
 
-    Light is continued from where less than :data:`NOTICED` of it is blocked, without its slope, which
+    Light is continued from where less than :data:`NOTICED` of it is lost, without its slope, which
     is the shade's own.
 
     Args:
         known: [h, w] where ``rgb`` [h, w, 3] is known; elsewhere the result is 1.
-        blocked: [h, w] share of the light, 0..1.
+        lost: [h, w] share of the light that is blocked, 0..1.
     """
-    shaded = known & (blocked > NOTICED)
+    shaded = known & (lost > NOTICED)
     lit = known & ~shaded
     gain = np.ones(known.shape, np.float32)
     if not shaded.any() or not lit.any():
@@ -80,8 +80,7 @@ def relighting(rgb: Picture, known: Bools, blocked: Float32) -> Float32:
         for where in (known, lit)
     )
     without = continued(from_lit, lit, _near(~lit, shaded), slope=_SLOPE)
-    most = 1.0 / np.maximum(1.0 - blocked, NOTICED)
-    gain[shaded] = np.clip((without / coarse)[..., 0], 1.0, most)[shaded]
+    gain[shaded] = np.clip((without / coarse)[..., 0], 1.0, most_gain(lost))[shaded]
     return gain
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ggwarp.editing.inpaint.holes import PlaneHole
 from ggwarp.editing.inpaint.image_inpainting import CONTEXT, Inpaint, Picture, relighting
 from ggwarp.editing.inpaint.object_views import ObjectView, world_pixels
-from ggwarp.editing.inpaint.shade import Occluder
+from ggwarp.editing.inpaint.shade import Shade
 from ggwarp.editing.map_view import crop_to
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
@@ -71,14 +71,14 @@ def paint(
     *,
     margin: int,
     tolerance: float,
-    occluder: Occluder | None = None,
+    shade: Shade | None = None,
 ) -> Surface:
     """Return the plane of ``hole`` as the views show it, seen head-on, what is missing inpainted.
 
     Args:
         margin: cells round the hole that the inpainter sees.
         tolerance: what a view shows lies on the plane within this, metres and share of the depth.
-        occluder: the object, whose shade is taken off; None: the shade stays.
+        shade: the object's, which is taken off; None: it stays.
     """
     rows, columns = (size + 2 * margin for size in hole.states.shape)
     at = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2) - margin
@@ -101,18 +101,18 @@ def paint(
     part = crop_to(needed, margin=_SEEN)
     near = np.ascontiguousarray(picture[part])
     gain = np.ones((rows, columns), np.float32)
-    if occluder is not None:
-        blocked = _blocked(occluder, points.reshape(rows, columns, 3)[part], hole.plane.axes)
-        gain[part] = relighting(near, ~unknown[part], blocked)
+    if shade is not None:
+        lost = _lost(shade, points.reshape(rows, columns, 3)[part], hole.plane.axes)
+        gain[part] = relighting(near, ~unknown[part], lost)
         near = np.rint(np.minimum(near * gain[part][..., None], 255.0)).astype(np.uint8)
     picture[part] = inpaint(near, np.ascontiguousarray(unknown[part]), np.ascontiguousarray(needed[part]))
     return Surface(hole, picture, margin, gain)
 
 
-def _blocked(occluder: Occluder, points: Float64, axes: Float64) -> Float32:
+def _lost(shade: Shade, points: Float64, axes: Float64) -> Float32:
     """Return [rows, columns] the share of light kept from ``points`` [rows, columns, 3], some looked at."""
     few = points[::_COARSE, ::_COARSE]
-    shares = occluder.blocked(few.reshape(-1, 3), axes).reshape(few.shape[:2])
+    shares = shade.lost(few.reshape(-1, 3), axes).reshape(few.shape[:2])
     rows, columns = np.indices(points.shape[:2]) / _COARSE
     return sampled(shares[..., None], columns.ravel(), rows.ravel()).reshape(points.shape[:2])
 
