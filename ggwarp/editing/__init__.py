@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from ggwarp.editing.inpaint.image_inpainting import inpaint_opencv, inpaint_shade
     from ggwarp.editing.map_view import MapView, best_views
     from ggwarp.editing.selection import SelectionConfig, select
+    from ggwarp.editing.trimming import trimmed
     from ggwarp.map.gaussians import join
     from ggwarp.objects.inventory import ObjectRecord
     from ggwarp.results.saved_run import RunError, SavedRun, load_run, save_run
@@ -53,6 +54,7 @@ __all__ = [
     "save_run",
     "select",
     "split",
+    "trimmed",
 ]
 
 _HOMES = {
@@ -61,6 +63,7 @@ _HOMES = {
     "inpaint.image_inpainting": ["inpaint_opencv", "inpaint_shade"],
     "selection": ["SelectionConfig", "select"],
     "map_view": ["MapView", "best_views"],
+    "trimming": ["trimmed"],
 }
 _HOME_OF = {name: f"ggwarp.editing.{home}" for home, names in _HOMES.items() for name in names}
 _HOME_OF["ObjectRecord"] = "ggwarp.objects.inventory"

@@ -16,8 +16,8 @@ from rich.text import Text
 
 from ggwarp.editing.actions import chosen_gaussians
 from ggwarp.editing.device import ready_device
-from ggwarp.editing.edits import extract
 from ggwarp.editing.map_view import MapView, best_views, crop_to
+from ggwarp.editing.trimming import trimmed
 from ggwarp.io.atomic import atomic_write
 from ggwarp.io.ply import write_ply
 from ggwarp.io.printable import printable
@@ -84,7 +84,7 @@ def write_show(run: SavedRun, record: ObjectRecord, step: argparse.Namespace, fo
 def write_extract(run: SavedRun, record: ObjectRecord, step: argparse.Namespace, folder: Path) -> None:
     """Write ``object.ply`` and ``alone1.png``, ... to ``folder``: the object without the rest, cropped.
 
-    The pictures are transparent where the object is not.
+    The pictures are transparent where the object is not. Gaussians are cut back to where it is seen.
 
     Raises:
         RunError: a file exists, or nothing is to be seen.
@@ -96,7 +96,7 @@ def write_extract(run: SavedRun, record: ObjectRecord, step: argparse.Namespace,
     ply = folder / "object.ply"
     files = [folder / f"alone{k + 1}.png" for k in range(len(indices))]
     _free([ply, *files])
-    alone = extract(run.gaussians, chosen)
+    alone = trimmed(whole, chosen, run.poses)
     folder.mkdir(parents=True, exist_ok=True)
     write_ply(ply, alone)
     camera = run.camera.scaled(_ZOOM)
