@@ -132,12 +132,15 @@ def _memory(plt: Any, record: Record) -> Any:
     rows = _rows(record, memory.COURSE)
     if not rows:
         return None
-    figure, axes = plt.subplots(1, 3, figsize=(13, 4))
     panels = {
         "MB": ("resident MB", "images in memory MB", "in the file MB"),
         "in the map": ("Gaussians", "Gaussians in memory", "trackable points"),
         "CPU ms a frame": ("tracking ms", "mapping ms"),
+        "mm": ("largest error mm",),
     }
+    if rows[0].get("largest error mm") is None:  # where the truth is not known
+        panels.pop("mm")
+    figure, axes = plt.subplots(1, len(panels), figsize=(4.4 * len(panels), 4))
     for panel, (unit, columns) in zip(axes, panels.items(), strict=True):
         for column in columns:
             panel.plot([r["frames"] for r in rows], [r[column] for r in rows], label=column)
