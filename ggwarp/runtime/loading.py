@@ -160,7 +160,9 @@ def load(modules: list[Any], device: Any) -> None:
     Raises:
         OSError: there is no place for what must be compiled.
     """
-    cold = uncompiled(modules, device)
+    # Each thread's compiler reads Warp's headers once for each set of options, which takes longer than most
+    # modules: threads take modules from both ends.
+    cold = sorted(uncompiled(modules, device), key=_options)
     with _compiler_s_words():
         # What is there first: to compile the others the cache may have to be left.
         _load_all([m for m in modules if m not in cold], device)
@@ -173,6 +175,10 @@ def load(modules: list[Any], device: Any) -> None:
             if full := kernel_cache.why_not_writable(len(cold)) if cold else None:
                 kernel_cache.use_temporary(str(wp.config.kernel_cache_dir), full)
         _load_all(cold, device)
+
+
+def _options(module: Any) -> str:
+    return repr([module.options.get(name) for name in _COMPILER_OPTIONS])
 
 
 def _remove_damaged(modules: list[Any], block_dim: int | None) -> None:
@@ -189,9 +195,7 @@ def _say_damaged(modules: list[Any]) -> None:
 
 
 def _load_all(modules: list[Any], device: Any) -> None:
-    # Each thread's compiler reads Warp's headers once for each set of options, which takes longer than most
-    # modules: threads take modules from both ends.
-    waiting = deque(sorted(modules, key=lambda m: repr([m.options.get(name) for name in _COMPILER_OPTIONS])))
+    waiting = deque(modules)
     ended, errors = threading.Event(), list[BaseException]()
 
     def work(take: Callable[[], Any]) -> None:
