@@ -133,10 +133,7 @@ def before_and_after(before: SavedRun, after: SavedRun, *, device: Any = "cpu") 
     if changes[best] < _NO_CHANGE:
         return None
     camera = before.camera.scaled(max(1.0, _SHOWN_WIDTH / before.camera.width))
-    sides = [
-        MapView(run.gaussians, camera, device=device).render(before.poses[rows[best]]).rgb
-        for run in (before, after)
-    ]
+    sides = [view.through(camera).render(before.poses[rows[best]]).rgb for view in views]
     gap = np.ones((camera.height, _GAP, 3), np.float32)
     return as_bytes(np.concatenate([sides[0], gap, sides[1]], axis=1))
 

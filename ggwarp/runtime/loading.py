@@ -221,7 +221,7 @@ def _load_all(modules: list[Any], device: Any) -> None:
 
     # Daemons, not a pool: the program would wait for a pool's whole queue before it ends.
     for i in range(count):
-        take = waiting.popleft if i % 2 else waiting.pop
+        take = waiting.popleft if i % 2 else waiting.pop  # from both ends: see load
         threading.Thread(target=worker, args=(take,), name="ggwarp-load", daemon=True).start()
     waited = 0
     try:
