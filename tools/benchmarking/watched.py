@@ -73,7 +73,7 @@ class Client:
     def _look(self) -> None:
         import msgspec
         import viser
-        from websockets.exceptions import ConnectionClosed
+        from websockets.exceptions import WebSocketException
         from websockets.sync.client import connect
         from websockets.typing import Subprotocol
 
@@ -97,9 +97,8 @@ class Client:
                 for message in page:
                     self.messages += 1
                     self.size += len(message)
-        except ConnectionClosed:
             self.ended = "closed"
-        except OSError as error:
+        except (OSError, WebSocketException) as error:
             self.ended = str(error)
 
 
