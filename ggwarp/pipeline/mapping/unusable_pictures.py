@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ggwarp.types import Frame, Rendered
+from ggwarp.types import Float32, Frame, Rendered
 
 _TOLERANCE = 0.05
 """The map explains a pixel where their depths differ by less than this share: three standard deviations of a
@@ -34,12 +34,12 @@ def clipped_share(frame: Frame, rendered: Rendered) -> float:
         frame: at the map's image size, with depth.
         rendered: the map's view from its pose.
     """
-    picture, explained = frame.rgb.astype(np.float32) / 255.0, _explained(frame, rendered)
-    if np.mean(explained) < _LEAST:
+    if (explained := _explained(frame, rendered)) is None:
         return 0.0
-    white = np.any((picture >= _BRIGHT) & (rendered.rgb < _BRIGHT - _APART), axis=2)
-    black = np.all((picture <= _DARK) & (rendered.rgb > _DARK + _APART), axis=2)
-    return np.count_nonzero(explained & np.logical_or(white, black)) / np.count_nonzero(explained)
+    seen, known = explained
+    white = ((seen >= _BRIGHT) & (known < _BRIGHT - _APART)).any(axis=0)
+    black = ((seen <= _DARK) & (known > _DARK + _APART)).all(axis=0)
+    return float(np.mean(white | black))
 
 
 def different_share(frame: Frame, rendered: Rendered) -> float:
@@ -51,18 +51,16 @@ def different_share(frame: Frame, rendered: Rendered) -> float:
     Args:
         frame, rendered: as of :func:`clipped_share`.
     """
-    picture, explained = frame.rgb.astype(np.float32) / 255.0, _explained(frame, rendered)
-    if np.mean(explained) < _LEAST:
+    if (explained := _explained(frame, rendered)) is None:
         return 0.0
-    seen, known = picture[explained], rendered.rgb[explained]
-    middle, known_middle = np.median(seen, axis=0), np.median(known, axis=0)
+    seen, known = explained
+    middle, known_middle = (np.median(values, axis=1, keepdims=True) for values in (seen, known))
     spread, known_spread = (
-        np.median(np.abs(values - centre), axis=0)
+        np.median(np.abs(values - centre), axis=1, keepdims=True)
         for values, centre in ((seen, middle), (known, known_middle))
     )
     exposed = (known - known_middle) * (spread / np.maximum(known_spread, 1e-3)) + middle
-    shares = [np.mean(np.any(np.abs(seen - colours) > _DIFFERENT, axis=1)) for colours in (known, exposed)]
-    return float(min(shares))
+    return min(_share_apart(seen, known), _share_apart(seen, exposed))
 
 
 def unusable(frame: Frame, rendered: Rendered) -> str:
@@ -72,17 +70,27 @@ def unusable(frame: Frame, rendered: Rendered) -> str:
         frame: with depth; some of its pixels are enough.
         rendered: the map's view from its pose, at the same pixels.
     """
-    for share, said in (
-        (clipped_share(frame, rendered), "is clipped"),
-        (different_share(frame, rendered), "has other colours"),
-    ):
-        if share > _BREAKDOWN:
-            return f"{100.0 * share:.0f} % of what the map knows of it {said}"
-    return ""
+    share, said = clipped_share(frame, rendered), "is clipped"
+    if share <= _BREAKDOWN and (explained := _explained(frame, rendered)) is not None:
+        # Nearly always few pixels differ, whatever the exposure, and it need not be found.
+        share, said = _share_apart(*explained), "has other colours"
+        share = different_share(frame, rendered) if share > _BREAKDOWN else share
+    return f"{100.0 * share:.0f} % of what the map knows of it {said}" if share > _BREAKDOWN else ""
 
 
-def _explained(frame: Frame, rendered: Rendered) -> NDArray[np.bool_]:
-    """Return [h, w] where the map is opaque and where the depth says it is."""
+def _explained(frame: Frame, rendered: Rendered) -> tuple[Float32, Float32] | None:
+    """Return the colours [3, n] of the pixels that the map explains, in the picture and in it; None: too few.
+
+    That is where the map is opaque and where the depth says it is.
+    """
     assert frame.depth is not None
     there = (rendered.opacity > _OPAQUE) & (frame.depth > 0.0)
-    return there & (np.abs(rendered.surface_depth - frame.depth) < _TOLERANCE * frame.depth)
+    there &= np.abs(rendered.surface_depth - frame.depth) < _TOLERANCE * frame.depth
+    if np.mean(there) < _LEAST:
+        return None
+    seen = frame.rgb[there].T.astype(np.float32) / np.float32(255.0)
+    return np.ascontiguousarray(seen), np.ascontiguousarray(rendered.rgb[there].T)
+
+
+def _share_apart(seen: Float32, colours: NDArray[np.floating]) -> float:
+    return float(np.mean((np.abs(seen - colours) > _DIFFERENT).any(axis=0)))
