@@ -183,7 +183,7 @@ def _identities_kernel(
     begin: int,
     chosen: wp.array2d[wp.int32],
     numbers: wp.array2d[wp.int32],
-    noise: wp.array[vec16],
+    seed: int,
     codes: wp.array[vec16],
     classes: wp.array2d[wp.int32],
     labels: wp.array2d[wp.int32],
@@ -194,7 +194,10 @@ def _identities_kernel(
     if chosen[row, column] == 0:
         return
     number = numbers[row, column] - 1
-    identity = noise[number]
+    state = wp.rand_init(seed, number)
+    identity = vec16()
+    for c in range(16):
+        identity[c] = (wp.randf(state) - 0.5) / rules.colour_scale
     if classes:
         k = classes[row, column]
         if k >= 0 and k < codes.shape[0]:
@@ -283,7 +286,7 @@ def begin_identities(
     begin: int,
     chosen: Any,
     numbers: Any,
-    noise: Any,
+    seed: int,
     codes: Any,
     classes: Any,
     labels: Any,
@@ -295,7 +298,7 @@ def begin_identities(
 
     Args:
         rules, begin, chosen, numbers: as of :func:`begin_gaussians`.
-        noise: [n] vec16, a random identity for each.
+        seed: of the random identities (GG-SLAM eq. 2), any int32.
         codes: [classes] vec16, the identity of each class.
         classes: [h, w] int, the class that begins at each pixel, negative: not known; None: none is.
         labels: [h, w] int, what each pixel votes for, negative: nothing; None: none votes.
@@ -305,7 +308,7 @@ def begin_identities(
     wp.launch(
         _identities_kernel,
         dim=chosen.shape,
-        inputs=[rules, begin, chosen, numbers, noise, codes, classes, labels],
+        inputs=[rules, begin, chosen, numbers, seed, codes, classes, labels],
         outputs=[identities, votes],
         device=device,
     )

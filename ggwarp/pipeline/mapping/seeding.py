@@ -32,7 +32,7 @@ from ggwarp.map.gaussian_map import GaussianMap
 from ggwarp.map.gaussians import SH_C0
 from ggwarp.map.renderer import Planes
 from ggwarp.map.surface_density import surface_density
-from ggwarp.objects.classifier import IdentitySeeds, random_identities
+from ggwarp.objects.classifier import IdentitySeeds
 from ggwarp.runtime.streams import to_host
 from ggwarp.types import Float64
 
@@ -195,7 +195,7 @@ class Seeder:
                 begin=begin,
                 chosen=chosen,
                 numbers=numbers,
-                noise=wp.array(random_identities(count, rng), dtype=vec16, device=device),
+                seed=int(rng.integers(2**31)),
                 codes=wp.array(identities.codes, dtype=vec16, device=device),
                 classes=uploaded(identities.classes),
                 labels=uploaded(identities.votes),

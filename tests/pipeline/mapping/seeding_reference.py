@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ggwarp.geometry.camera import Camera
 from ggwarp.map.gaussians import SH_C0, Gaussians
-from ggwarp.objects.classifier import IdentitySeeds, random_identities
+from ggwarp.objects.classifier import IdentitySeeds
 from ggwarp.pipeline.mapping.seeding import DEPTH_TOLERANCE, SeedingConfig
 from ggwarp.types import Exposure, Float32, Float64, Frame, Rendered
 
@@ -167,7 +167,7 @@ def _identities(
     config: SeedingConfig,
     rng: np.random.Generator,
 ) -> Float32:
-    noise = random_identities(len(rows), rng)
+    noise = (_uniform(int(rng.integers(2**31)), len(rows), 16) - 0.5) / np.float32(SH_C0)
     if seeds.classes is None:
         return noise
     classes = seeds.classes[rows, cols]
@@ -176,6 +176,23 @@ def _identities(
         np.maximum(classes, 0)
     ] + config.identity_noise * noise
     return np.where(known, mixed, noise).astype(np.float32)
+
+
+def _uniform(seed: int, count: int, draws: int) -> Float32:
+    """Return [count, draws] of Warp's numbers in 0..1: PCG, a generator a row."""
+    state = _pcg(np.uint32(seed) + _pcg(np.arange(count, dtype=np.uint32)))
+    drawn = []
+    for _ in range(draws):
+        state = _pcg(state)
+        drawn.append((state >> np.uint32(8)).astype(np.float32) / np.float32(2**24))
+    return np.stack(drawn, axis=1)
+
+
+def _pcg(state: NDArray[np.uint32]) -> NDArray[np.uint32]:
+    """Return the generator's next [n] (M. Jarzynski and M. Olano, JCGT 9(3), 2020)."""
+    b = state * np.uint32(747796405) + np.uint32(2891336453)
+    c = ((b >> ((b >> np.uint32(28)) + np.uint32(4))) ^ b) * np.uint32(277803737)
+    return (c >> np.uint32(22)) ^ c
 
 
 def _surface_axes(normals: Float32, towards: Float32) -> tuple[Float32, Float32]:
