@@ -17,9 +17,12 @@ ROWS, COLUMNS = 6, 8
 
 def reach_of(depth: Float32) -> Float32:
     """Return [ROWS, COLUMNS] how far the parts of a picture reach, metres, by its depth [h, w]."""
-    depth = np.where(np.isfinite(depth), depth, np.float32(0))
     rows, columns = (_edges(size, parts) for size, parts in zip(depth.shape, (ROWS, COLUMNS), strict=True))
-    return np.maximum.reduceat(np.maximum.reduceat(depth, rows, axis=0), columns, axis=1)
+    # Row upon row is several times as fast as numpy.maximum.reduceat, which goes along columns.
+    ends = np.maximum(np.append(rows[1:], len(depth)), rows + 1)
+    strips = np.stack([depth[begin:end].max(axis=0) for begin, end in zip(rows, ends, strict=True)])
+    reach = np.maximum.reduceat(strips, columns, axis=1)
+    return reach if np.isfinite(reach).all() else reach_of(np.where(np.isfinite(depth), depth, np.float32(0)))
 
 
 def same_reach(reach: float) -> Float32:

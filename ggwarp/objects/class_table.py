@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ggwarp.objects.labels import ranked
+from ggwarp.geometry.distinct import ranked
 from ggwarp.runtime.state import Stateful
 
 log = logging.getLogger(__name__)

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import cv2
 import numpy as np
@@ -20,18 +19,10 @@ def contingency(rows: Labels, columns: Labels, classes: int) -> NDArray[np.int64
 
     Pixels unknown in either are left out.
     """
-    both = (rows >= 0) & (columns >= 0)
-    pairs = rows[both].astype(np.int64) * classes + columns[both]
-    return np.bincount(pairs, minlength=classes * classes).reshape(classes, classes)
-
-
-def ranked(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.intp]]:
-    """Return [k] the distinct of integer ``values`` (any shape), rising, and the place of each value in them.
-
-    As ``numpy.unique`` does that returns the inverse, several times as fast where they are few.
-    """
-    distinct = np.unique(values)
-    return distinct, np.searchsorted(distinct, values)
+    size = classes + 1  # unknown ones, first, are counted and dropped: faster than choosing the others
+    pairs = (np.maximum(rows, _UNKNOWN) - _UNKNOWN).astype(np.intp).ravel() * size
+    pairs += (np.maximum(columns, _UNKNOWN) - _UNKNOWN).ravel()
+    return np.bincount(pairs, minlength=size * size).reshape(size, size)[1:, 1:]
 
 
 def as_runs(labels: Labels) -> NDArray[np.uint16]:

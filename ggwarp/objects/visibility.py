@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ggwarp.geometry.distinct import counted
 from ggwarp.objects.class_table import NO_OBJECT
 from ggwarp.runtime.state import Stateful
 
@@ -40,7 +41,7 @@ class ObjectVisibility(Stateful):
 
     def add(self, index: int, mask: NDArray[np.int32]) -> None:
         """Note that frame ``index`` shows the objects of ``mask`` [h, w] that cover more than a dot."""
-        ids, counts = np.unique(mask, return_counts=True)
+        ids, counts = counted(mask.ravel())
         for identifier in ids[(counts > _LEAST_SHARE * mask.size) & (ids > NO_OBJECT)].tolist():
             self._frames.setdefault(identifier, set()).add(index)
 

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ggwarp.objects.labels import ranked
+from ggwarp.geometry.distinct import ranked
 from ggwarp.types import Float32
 
 Picture = NDArray[np.uint8]

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ggwarp.geometry.distinct import ranked
 from ggwarp.io.atomic import atomic_write
-from ggwarp.objects.labels import ranked
 from ggwarp.report.colours import (
     Picture,
     depth_in_colours,

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ggwarp.objects.labels import as_runs, contingency, filled, from_runs, ranked, solid
+from ggwarp.objects.labels import as_runs, contingency, filled, from_runs, solid
 
 
 def test_pairs_of_known_labels_are_counted() -> None:
@@ -34,13 +34,6 @@ def test_dots_and_strips_are_not_solid() -> None:
     assert out.mean() > 0.95
     assert solid(np.full((6, 9), 4, np.int32)).all()
     assert not solid(np.arange(54, dtype=np.int32).reshape(6, 9)).any()
-
-
-def test_values_are_ranked_as_numpy_does(rng: np.random.Generator) -> None:
-    for shape in ((7, 5), (0,), (3, 0)):
-        values = rng.integers(-3, 4, shape) * 10**12
-        distinct, ranks = ranked(values)
-        assert np.array_equal(distinct, np.unique(values)) and np.array_equal(distinct[ranks], values)
 
 
 @given(st.integers(1, 9), st.integers(1, 40), st.integers(0, 2**32 - 1))

@@ -16,8 +16,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ggwarp.geometry.distinct import ranked
 from ggwarp.objects.class_table import IGNORED, NO_OBJECT, ClassTable
-from ggwarp.objects.labels import Labels, contingency, ranked
+from ggwarp.objects.labels import Labels, contingency
 from ggwarp.objects.masks.mask_view import MapKnowledge, MaskView, PosedDepth
 from ggwarp.objects.masks.tentative import Candidates
 from ggwarp.runtime.state import Stateful

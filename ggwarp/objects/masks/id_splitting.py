@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggwarp.geometry.boxes import linked_parts
-from ggwarp.geometry.voxels import voxel_centres, voxel_keys
+from ggwarp.geometry.distinct import counted
+from ggwarp.geometry.voxels import ranked_voxels, voxel_centres
 from ggwarp.objects.class_table import IGNORED, ClassTable
-from ggwarp.objects.labels import ranked, solid
+from ggwarp.objects.labels import solid
 from ggwarp.objects.masks.mask_view import MaskView
 from ggwarp.runtime.state import Stateful, state_value
 from ggwarp.types import Float64
@@ -56,6 +57,10 @@ class _Part:
     views: int = 1
 
     @cached_property
+    def _keys(self) -> set[int]:
+        return set(self.voxels.tolist())
+
+    @cached_property
     def diameter(self) -> float:
         """Metres."""
         return float(np.linalg.norm(np.ptp(voxel_centres(self.voxels, _VOXEL), axis=0) + _VOXEL))
@@ -66,14 +71,16 @@ class _Part:
 
     def gap(self, other: _Part) -> float:
         """Return the distance between the two, metres."""
-        if np.intersect1d(self.voxels, other.voxels, assume_unique=True).size:
-            return 0.0  # as nearly always, and a hundred times as fast
+        if not self._keys.isdisjoint(other._keys):
+            return 0.0  # as nearly always, and a thousand times as fast
         return float(self.distances(voxel_centres(other.voxels, _VOXEL)).min())
 
     def take(self, other: _Part) -> None:
-        self.__dict__.pop("diameter", None)  # it grows
-        self.voxels = np.union1d(self.voxels, other.voxels)
         self.views += 1
+        if not other._keys <= self._keys:
+            self.__dict__.pop("diameter", None)  # it grows
+            self._keys.update(other._keys)
+            self.voxels = np.union1d(self.voxels, other.voxels)
 
 
 class SharedIdSplitter(Stateful):
@@ -95,13 +102,12 @@ class SharedIdSplitter(Stateful):
             self._place(label, part)
         given, depth = mask.labels, mask.surface.depth
         out, fresh = given, set[int]()
-        for label in np.unique(given).tolist():
-            objects = [p for p in self._parts.get(label, []) if p.index is not None]
-            if len(objects) < 2:
+        for label in sorted(self._parts):
+            objects = [p for p in self._parts[label] if p.index is not None]
+            if len(objects) < 2 or not (pixels := given == label).any():
                 continue
             out = out.copy() if out is given else out
-            pixels = given == label
-            points = mask.surface.places[pixels & (depth > 0.0)]
+            points = mask.surface.places[:, (pixels & (depth > 0.0)).ravel()].T
             near = np.argmin([p.distances(points) for p in objects], axis=0)
             out[pixels] = IGNORED  # where there is no depth
             out[pixels & (depth > 0.0)] = np.array([p.index for p in objects], np.int32)[near]
@@ -140,9 +146,10 @@ class SharedIdSplitter(Stateful):
             known = mask.knowledge.known
             pixels &= (known < 0) | (self._classes.id_owners(known) == given)
         least = _LEAST_AREA * given.size
-        places_seen, ranks = ranked(voxel_keys(surface.places[pixels], _VOXEL))
+        inside = np.flatnonzero(pixels)
+        places_seen, ranks = ranked_voxels(surface.places.take(inside, axis=1), _VOXEL)
         numbers = max(len(places_seen), 1)
-        pairs, pixels_of = np.unique(given[pixels].astype(np.int64) * numbers + ranks, return_counts=True)
+        pairs, pixels_of = counted(given.ravel()[inside].astype(np.int64) * numbers + ranks)
         labels, begins = np.unique(pairs // numbers, return_index=True)
         for label, own in zip(labels.tolist(), np.split(np.arange(len(pairs)), begins[1:]), strict=False):
             places, counts = places_seen[pairs[own] % numbers], pixels_of[own]
@@ -178,8 +185,8 @@ class SharedIdSplitter(Stateful):
             self._classes.assign_id(owner.index)
 
     def _near(self, one: _Part, other: _Part) -> bool:
-        far = max(_LEAST_GAP, _GAP * max(one.diameter, other.diameter))
-        return one.gap(other) <= far
+        gap = one.gap(other)
+        return gap <= _LEAST_GAP or gap <= _GAP * max(one.diameter, other.diameter)
 
 
 def _tree(points: Float64) -> Any:

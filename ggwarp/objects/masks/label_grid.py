@@ -11,9 +11,10 @@ from itertools import product
 
 import numpy as np
 
+from ggwarp.geometry.distinct import ranked
 from ggwarp.geometry.pixel_grid import PixelGrid
 from ggwarp.objects.class_table import IGNORED
-from ggwarp.objects.labels import Labels, contingency, ranked
+from ggwarp.objects.labels import Labels, contingency
 
 
 def changed(grid: PixelGrid, whole: Labels, few: Labels) -> Labels:
@@ -61,6 +62,6 @@ def _looked_up(mask: Labels, ids: Labels, labels: Labels) -> Labels:
     if most - least < mask.size:
         table = np.full(most - least + 3, IGNORED, np.int32)  # the first and the last: of other ids
         table[ids - least + 1] = labels
-        return table[np.clip(mask, least - 1, most + 1) - (least - 1)]
+        return table.take(mask - np.int32(least - 1), mode="clip")
     at = np.minimum(np.searchsorted(ids, mask), len(ids) - 1)
     return np.where(ids[at] == mask, labels[at], np.int32(IGNORED))

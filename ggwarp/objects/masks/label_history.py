@@ -16,9 +16,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ggwarp.geometry.voxels import voxel_keys
+from ggwarp.geometry.distinct import counted, ranked
+from ggwarp.geometry.voxels import ranked_voxels, voxel_keys
 from ggwarp.objects.class_table import NO_OBJECT, ClassTable
-from ggwarp.objects.labels import Labels, as_runs, contingency, from_runs, ranked
+from ggwarp.objects.labels import Labels, as_runs, contingency, from_runs
 from ggwarp.objects.masks.mask_view import MaskView
 from ggwarp.runtime.state import Stateful
 from ggwarp.types import Float32
@@ -90,9 +91,9 @@ class LabelHistory(Stateful):
         """
         assert mask.knowledge is not None
         surface, known, given = mask.surface, mask.knowledge.known, mask.labels
-        pixels = (known >= 0) & (given >= 0) & (surface.depth > 0.0)
-        objects, labels = known[pixels], given[pixels]
-        places = _places(voxel_keys(surface.places[pixels], _VOXEL), objects, labels)
+        pixels = np.flatnonzero((known >= 0) & (given >= 0) & (surface.depth > 0.0))
+        objects, labels = known.ravel()[pixels], given.ravel()[pixels]
+        places = _places(surface.places.take(pixels, axis=1), objects, labels)
         if anew:
             self._views.update(places.labelled)
         table = contingency(objects, labels, max(objects.max(initial=0), labels.max(initial=0)) + 1)
@@ -136,11 +137,14 @@ class _Places:
     labelled: list[tuple[int, int, int]]
 
 
-def _places(voxels: NDArray[np.int64], objects: Labels, labels: Labels) -> _Places:
-    """Sort pixels, [n] each, by the voxel that they lie in."""
-    numbers, ranks = ranked(voxels)
+def _places(points: Float32, objects: Labels, labels: Labels) -> _Places:
+    """Sort pixels, [n] each, by the voxel that they lie in; ``points`` [3, n], metres."""
+    numbers, ranks = ranked_voxels(points, _VOXEL)
     size = int(max(objects.max(initial=0), labels.max(initial=0))) + 1
-    keys, counts = np.unique((ranks * size + objects) * size + labels, return_counts=True)
+    both, rank_of_both = ranked(objects.astype(np.int64) * size + labels)
+    keys, counts = counted(ranks * max(len(both), 1) + rank_of_both)
+    ranks, rank_of_both = np.divmod(keys, max(len(both), 1))
+    keys = ranks * size**2 + both[rank_of_both]
     pairs, of_pair = np.unique(keys // size, return_inverse=True)
     sizes = np.bincount(of_pair, counts, minlength=len(pairs)).astype(np.int64)
     ranks, owners = np.divmod(pairs, size)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,13 @@ from ggwarp.objects.labels import Labels, filled
 from ggwarp.types import Float32, Float64
 
 _TOLERANCE = 0.05  # of the depth: a view shows a point that is no farther from its surface
+
+
+@lru_cache(maxsize=4)
+def _rays(camera: Camera) -> Float32:
+    """Return [3, h * w] where the pixels of ``camera`` look, camera frame."""
+    rows, columns = np.indices((camera.height, camera.width))
+    return np.ascontiguousarray(camera.rays(columns.ravel(), rows.ravel()).T, np.float32)
 
 
 @dataclass(frozen=True)
@@ -33,10 +40,10 @@ class PosedDepth:
     camera: Camera
 
     @cached_property
-    def places(self) -> Float64:
-        """[h, w, 3] the points that the pixels show, world frame; the camera's own place without depth."""
-        rows, columns = np.indices(self.depth.shape)
-        return self._points(rows.ravel(), columns.ravel()).reshape(*self.depth.shape, 3)
+    def places(self) -> Float32:
+        """[3, h * w] the points that the pixels show, world frame; the camera's own place without depth."""
+        T_wc = self.T_wc.astype(np.float32)
+        return T_wc[:3, :3] @ _rays(self.camera) * self.depth.ravel() + T_wc[:3, 3:]
 
     def points(self, pixels: NDArray[np.bool_], most: int) -> Float64:
         """Return [k, 3] at ``most`` points of the surface at ``pixels`` [h, w], world frame, evenly drawn."""

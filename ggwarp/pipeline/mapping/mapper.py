@@ -184,7 +184,7 @@ class Mapper(Stateful):
         if self.objects is not None:
             whole = frame if wrong is None else measured
             seeds, training = self.objects.supervise_keyframe(whole, T_wc, self._renderer if seen else None)
-            if training is not None and wrong is not None:
+            if training is not None and wrong is not None and wrong.any():
                 training = np.where(wrong, np.int32(-1), training)
         keyframe = upload(measured, T_wc, training, exposure, device=self._device)
         depth = keyframe.depth

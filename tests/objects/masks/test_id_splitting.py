@@ -27,7 +27,7 @@ class Wall:
     def view(self, x: float) -> tuple[np.ndarray, PosedDepth]:
         T_wc = se3.se3_exp(np.array([x, 0.0, 0.0, 0.0, 0.0, 0.0]))
         view = PosedDepth(np.full((40, 60), 2.0, np.float32), T_wc, CAMERA)
-        points = view.places
+        points = view.places.T.reshape(40, 60, 3)
         mask = np.full((40, 60), 99, np.int32)
         for middle, identifier in self.squares.items():
             mask[(np.abs(points[..., 0] - middle) < 0.2) & (np.abs(points[..., 1]) < 0.2)] = identifier
