@@ -15,6 +15,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from copy import copy
 from functools import lru_cache
 from typing import Any
 
@@ -107,22 +108,21 @@ def launch_split(
     # loading for another block size would compile the module a second time.
     kernel.module.load(device, block_dim=1)
     pieces = deque(_cut(count, threads, min_piece))
+    # Arguments are packed once: that holds the interpreter's lock for longer than all else here.
+    packed: Any = wp.launch(
+        kernel, dim=count, inputs=[0, *inputs], outputs=outputs, device=device, record_cmd=True
+    )
 
     def work() -> None:
-        command: Any = None
+        command = copy(packed)
+        command.params, command.fwd_args = list(packed.params), list(packed.fwd_args)
         while pieces:
             try:
                 begin, size = pieces.popleft()
             except IndexError:  # another thread was faster
                 return
-            if command is None:
-                arguments = [begin, *inputs]
-                command = wp.launch(
-                    kernel, dim=size, inputs=arguments, outputs=outputs, device=device, record_cmd=True
-                )
-            else:
-                command.set_param_at_index(0, begin)
-                command.set_dim(size)
+            command.set_param_at_index(0, begin)
+            command.set_dim(size)
             command.launch()
 
     _run_on_threads(work, threads)
