@@ -7,6 +7,7 @@ The others are references: a render of the map, or pictures that were taken befo
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -41,6 +42,9 @@ _SETTLED = 0.1
 
 _LEAST_PIXELS = 10 * alignment.PARAMETERS
 """A smaller picture that has fewer to compare decides nothing: ten observations an unknown."""
+
+_ENOUGH = 20_000
+"""Pixels of a size that are compared, at most: the errors of neighbours are alike, see ``INDEPENDENCE``."""
 
 _COLOUR_NOISE = 0.05
 """Standard deviation of a colour, 0..1."""
@@ -149,7 +153,11 @@ class Aligner:
         self._noise, self._agreement, self._depth_noise = colour_noise, agreement, 0.0
         self._observed = self._empty_levels()
         self._rendered: Reference | None = None
-        items = alignment.item_count(camera.height, camera.width)
+        self._strides = [math.ceil((c.width * c.height / _ENOUGH) ** 0.5) for c in self.cameras]
+        items = max(
+            alignment.item_count(c.height, c.width, stride)
+            for c, stride in zip(self.cameras, self._strides, strict=True)
+        )
         self._sums = wp.empty((items, alignment.SUMS), dtype=float, device=self._device)
         total: Any = wp.float64
         self._folded = wp.empty((alignment.FOLDED, alignment.SUMS), dtype=total, device=self._device)
@@ -255,6 +263,8 @@ class Aligner:
     ) -> System:
         """Return the normal equations at ``T_cw`` [4, 4] for pictures of size ``level`` (0: the camera's).
 
+        Of a large picture each pixel that is compared stands for those around it, too.
+
         Args:
             reference: None: the render.
         """
@@ -267,12 +277,13 @@ class Aligner:
             exposure=exposure,
             noise=(self._noise, _ROBUST_SCALE, _EDGE, self._depth_noise),
             agreement=self._agreement,
+            stride=self._strides[level],
             sums=self._sums,
             folded=self._folded,
             system=self._system,
             device=self._device,
         )
-        numbers = to_host(self._system)
+        numbers = to_host(self._system) * float(self._strides[level] ** 2)
         H = np.zeros((alignment.PARAMETERS, alignment.PARAMETERS))
         H[np.triu_indices(alignment.PARAMETERS)] = numbers[:36]
         return System(

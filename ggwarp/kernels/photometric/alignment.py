@@ -27,7 +27,7 @@ from ggwarp.runtime.launch import launch_split
 wp.set_module_options({"enable_backward": False})
 
 PIECE = 64
-"""Pixels of a row that one thread sums."""
+"""Pixels of a row, of those that count, that one thread sums."""
 
 PARAMETERS = 8
 """tau (6), a, b."""
@@ -43,6 +43,7 @@ _NEAR = wp.constant(0.05)
 def _linearise(
     offset: int,
     pieces: int,
+    stride: int,
     rendered: wp.array2d[wp.vec4],
     observed: wp.array2d[wp.vec4],
     camera: CameraIntrinsics,
@@ -53,19 +54,20 @@ def _linearise(
     sums: wp.array2d[float],
 ):
     item = offset + wp.tid()
-    row = item / pieces
-    piece = item - row * pieces
+    line = item / pieces
+    piece = item - line * pieces
+    row = stride / 2 + line * stride
     total = vec46()
     gain = wp.exp(exposure[0])
-    begin = wp.max(piece * _PIECE, 1)
-    end = wp.min((piece + 1) * _PIECE, rendered.shape[1] - 1)
-    if row == 0 or row == rendered.shape[0] - 1:
+    begin = stride / 2 + piece * _PIECE * stride
+    end = wp.min(begin + _PIECE * stride, rendered.shape[1] - 1)
+    if row == 0 or row >= rendered.shape[0] - 1:
         end = begin
     rotation = rotation_of(motion)
     shift = wp.vec3(motion[0, 3], motion[1, 3], motion[2, 3])
     ray_y = (float(row) - camera.cy) / camera.fy
     step_x = 1.0 / camera.fx
-    for column in range(begin, end):
+    for column in range(wp.where(begin == 0, stride, begin), end, stride):
         seen = rendered[row, column]
         z = seen[3]
         jump = noise[2] * z
@@ -127,9 +129,13 @@ def folds(items: int, device: Any) -> bool:
     return items > 2 * FOLDED and not wp.get_device(device).is_cpu
 
 
-def item_count(height: int, width: int) -> int:
-    """Return the rows of ``sums`` that a view of this size needs."""
-    return height * -(-width // PIECE)
+def item_count(height: int, width: int, stride: int = 1) -> int:
+    """Return the rows of ``sums`` that a view of this size needs where every ``stride``-th pixel counts."""
+    return len(range(stride // 2, height, stride)) * _pieces(width, stride)
+
+
+def _pieces(width: int, stride: int) -> int:
+    return -(-len(range(stride // 2, width, stride)) // PIECE)
 
 
 def linearise(
@@ -141,6 +147,7 @@ def linearise(
     exposure: tuple[float, float],
     noise: tuple[float, float, float, float],
     agreement: float = 0.0,
+    stride: int = 1,
     sums: Any,
     folded: Any,
     system: Any,
@@ -157,16 +164,17 @@ def linearise(
             depth, metres, 0 where depth is not compared.
         agreement: colour is compared where the observed depth differs by no more than this share of the
             expected one, and the picture is not flat; 0: everywhere.
-        sums: [>= item_count(h, w), SUMS] float, folded: [FOLDED, SUMS] float64: scratch.
+        stride: every so many-th pixel of a row and a column counts, from the ``stride // 2``-th on.
+        sums: [>= item_count(h, w, stride), SUMS] float, folded: [FOLDED, SUMS] float64: scratch.
         system: [SUMS] float64, written; see :data:`SUMS`.
     """
-    pieces = -(-rendered.shape[1] // PIECE)
-    items = item_count(*rendered.shape)
+    pieces, items = _pieces(rendered.shape[1], stride), item_count(*rendered.shape, stride)
     launch_split(
         _linearise,
         items,
         inputs=[
-            pieces, rendered, observed, camera, motion, wp.vec2(*exposure), wp.vec4(*noise), agreement,
+            pieces, stride, rendered, observed, camera, motion, wp.vec2(*exposure), wp.vec4(*noise),
+            agreement,
         ],
         outputs=[sums],
         device=device,

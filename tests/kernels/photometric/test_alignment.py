@@ -74,10 +74,11 @@ def system(
     device: str,
     depth_noise: float = 0.0,
     agreement: float = 0.0,
+    stride: int = 1,
 ) -> np.ndarray:
     arrays = [wp.array(x, dtype=wp.vec4, device=device) for x in (rendered, observed)]
     sums = wp.empty(
-        (alignment.item_count(*rendered.shape[:2]), alignment.SUMS), dtype=wp.float32, device=device
+        (alignment.item_count(*rendered.shape[:2], stride), alignment.SUMS), dtype=wp.float32, device=device
     )
     folded = wp.full((alignment.FOLDED, alignment.SUMS), 7.0, dtype=wp.float64, device=device)
     out = wp.zeros(alignment.SUMS, dtype=wp.float64, device=device)
@@ -88,6 +89,7 @@ def system(
         exposure=EXPOSURE,
         noise=(NOISE, ROBUST, EDGE, depth_noise),
         agreement=agreement,
+        stride=stride,
         sums=sums,
         folded=folded,
         system=out,
@@ -108,6 +110,21 @@ def test_sums_in_two_steps_are_those_in_one(
         monkeypatch.undo()
         np.testing.assert_allclose(two, one, rtol=1e-12, atol=1e-12 * np.abs(one).max())
     assert alignment.item_count(*big[0].shape[:2]) > alignment.FOLDED
+
+
+@pytest.mark.parametrize("stride", [2, 3, 5, 100])
+def test_every_nth_pixel_counts(stride: int, device: str, rng: np.random.Generator) -> None:
+    """The sum is of those pixels, each compared in a picture that has no depth but about it."""
+    rendered, observed = (np.tile(view, (2, 2, 1)) for view in views(rng))
+    found = system(rendered, observed, MOTION, device, 0.02, stride=stride)
+    pixels = compared(rendered)
+    expected = np.zeros(alignment.SUMS)
+    for row, column in pixels[(pixels % stride == stride // 2).all(axis=1)]:
+        window = np.s_[row - 1 : row + 2, column - 1 : column + 2]
+        alone = np.zeros_like(rendered)
+        alone[window] = rendered[window]
+        expected += system(alone, observed, MOTION, device, 0.02)
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max())
 
 
 def test_normal_equations_are_those_of_the_residuals(device: str, rng: np.random.Generator) -> None:
