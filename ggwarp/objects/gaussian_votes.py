@@ -9,7 +9,7 @@ import warp as wp
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from ggwarp.kernels.camera import intrinsics_of
-from ggwarp.kernels.identity.knowledge import LEVELS, NOTHING, KnowledgeLimits, tell_knowledge
+from ggwarp.kernels.identity.knowledge import LEVEL_BITS, KnowledgeLimits, tell_knowledge
 from ggwarp.kernels.identity.label_fusion import fuse_labels, gather_evidence
 from ggwarp.kernels.math import vec16
 from ggwarp.map.gaussian_map import GaussianMap
@@ -88,11 +88,9 @@ class GaussianVotes:
             device=self._device,
         )
         told = to_host(numbers)
-        classes, level = np.divmod(told, np.int32(LEVELS))
-        seen = self._classes.merged(np.where(told == NOTHING, np.int32(IGNORED), classes))
-        known, certain = (
-            np.where((level >= least) & (seen >= 0), seen, np.int32(IGNORED)) for least in (1, 2)
-        )
+        seen = self._classes.merged(told >> LEVEL_BITS)  # NOTHING is of class -1, IGNORED
+        level = told & ((1 << LEVEL_BITS) - 1)
+        known, certain = (np.where(level >= least, seen, np.int32(IGNORED)) for least in (1, 2))
         return MapKnowledge(seen, known, certain, T_cw, depth)
 
     def cast(self, mask: MaskView) -> None:

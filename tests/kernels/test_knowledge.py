@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from ggwarp.kernels.identity.knowledge import LEVELS, NOTHING, KnowledgeLimits, tell_knowledge
+from ggwarp.kernels.identity.knowledge import LEVEL_BITS, NOTHING, KnowledgeLimits, tell_knowledge
 from ggwarp.kernels.raster.thinning import thin_planes
 
 
@@ -32,7 +32,7 @@ def test_knowledge_is_numpy_s(shape: tuple[int, int], device: str, rng: np.rando
         shown &= (np.float32(1) - transmittance > 0.5) & (classes >= 0)
         most = cv2.dilate(votes.astype(np.uint8), np.ones((3, 3), np.uint8)) if votes.size else votes
         level = np.where(probabilities >= np.float32(0.7), np.digitize(most, [2, 3]), 0)
-    expected = np.where(shown, int(LEVELS) * classes + level, int(NOTHING))
+    expected = np.where(shown, (classes << LEVEL_BITS) + level, int(NOTHING))
 
     out = wp.full(shape, 77, dtype=int, device=device)
     tell_knowledge(

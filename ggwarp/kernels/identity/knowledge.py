@@ -9,8 +9,8 @@ wp.set_module_options({"enable_backward": False})
 
 NOTHING = wp.constant(-1)
 """The map shows another surface than the view's, or none."""
-LEVELS = wp.constant(4)
-"""A pixel's number is this times its class, and how sure that is: 0, 1 where it is known, 2 where certain."""
+LEVEL_BITS = wp.constant(2)
+"""A pixel's number is its class, shifted by these, and how sure that is: 0, 1: it is known, 2: certain."""
 
 
 @wp.struct
@@ -55,7 +55,7 @@ def _knowledge_kernel(
                 for column in range(wp.max(j - 1, 0), wp.min(j + 2, votes.shape[1])):
                     most = wp.max(most, votes[row, column])
             level = wp.where(most >= limits.certain, 2, wp.where(most >= limits.known, 1, 0))
-        number = LEVELS * classes[i, j] + level
+        number = (classes[i, j] << LEVEL_BITS) + level
     out[i, j] = number
 
 
@@ -71,7 +71,7 @@ def tell_knowledge(
     out: Any,
     device: Any,
 ) -> None:
-    """Write the number of each pixel: :data:`NOTHING`, or class and level by :data:`LEVELS`.
+    """Write the number of each pixel: :data:`NOTHING`, or class and level by :data:`LEVEL_BITS`.
 
     Args:
         limits: what it takes to know.

@@ -7,8 +7,6 @@ the mask's own.
 
 from __future__ import annotations
 
-from itertools import product
-
 import numpy as np
 
 from ggwarp.geometry.distinct import ranked
@@ -25,15 +23,16 @@ def changed(grid: PixelGrid, whole: Labels, few: Labels) -> Labels:
     if not len(rows):
         return whole
     out, labels = whole.copy(), few[rows, columns]
-    # Pixel by pixel of the blocks: what is left over goes with the last of a row or column.
+    # What is left over goes with the last block of a row or column.
     ends = [
         np.where(at == count - 1, size, np.minimum((at + 1) * grid.step, size))
         for at, count, size in zip((rows, columns), few.shape, whole.shape, strict=True)
     ]
-    for down, right in product(range(grid.step + grid.step // 2), repeat=2):
-        y, x = rows * grid.step + down, columns * grid.step + right
-        inside = (y < ends[0]) & (x < ends[1])
-        out[y[inside], x[inside]] = labels[inside]
+    reach = grid.step + grid.step // 2
+    down, right = np.divmod(np.arange(reach * reach), reach)
+    y, x = rows[:, None] * grid.step + down, columns[:, None] * grid.step + right
+    inside = (y < ends[0][:, None]) & (x < ends[1][:, None])
+    out[y[inside], x[inside]] = np.broadcast_to(labels[:, None], y.shape)[inside]
     return out
 
 
