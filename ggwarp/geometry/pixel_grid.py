@@ -47,14 +47,3 @@ class PixelGrid:
         """Return the grid's pixels of ``image`` [h, w, ...]."""
         at = slice(self.step // 2, None, self.step)
         return np.ascontiguousarray(image[at, at])
-
-    def spread(self, image: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
-        """Return a picture of ``shape``: what grid pixels have, ``image`` [gh, gw], each in its block."""
-        if self.step == 1:
-            return image
-        # What is left over goes with the last block.
-        rows, columns = (
-            np.minimum(np.arange(size) // self.step, count - 1)
-            for size, count in zip(shape, image.shape, strict=False)
-        )
-        return image.take(columns, axis=1).take(rows, axis=0)

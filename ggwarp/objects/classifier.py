@@ -60,13 +60,14 @@ class IdentitySeeds:
 
     Attributes:
         codes: [classes, 16] the identity that each class starts from.
-        classes: [h, w] class of the Gaussians that begin at each pixel; negative, or None: not known.
-        votes: [h, w] class that each pixel votes for; negative, or None: none.
+        classes: [h, w] int, on the device, the class of the Gaussians that begin at each pixel; negative, or
+            None: not known.
+        votes: [h, w] int, on the device, the class that each pixel votes for; negative, or None: none.
     """
 
     codes: Float32
-    classes: NDArray[np.int32] | None = None
-    votes: NDArray[np.int32] | None = None
+    classes: Any = None
+    votes: Any = None
 
 
 def random_identities(count: int, rng: np.random.Generator) -> Float32:

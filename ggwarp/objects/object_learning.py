@@ -22,7 +22,7 @@ from ggwarp.objects.inventory import ObjectRecord, inventory
 from ggwarp.objects.labels import Labels
 from ggwarp.objects.linear_classifier import LinearClassifier
 from ggwarp.objects.masks.keyframe_labels import KeyframeLabels
-from ggwarp.objects.masks.label_grid import changed, of_mask
+from ggwarp.objects.masks.label_grid import LabelPictures, MaskLabels
 from ggwarp.objects.masks.mask_supervision import ObjectSupervision, SupervisionConfig
 from ggwarp.objects.masks.mask_view import LabelTargets, PosedDepth
 from ggwarp.objects.visibility import ObjectVisibility
@@ -83,7 +83,8 @@ class ObjectLearning(Stateful):
         self._supervision = ObjectSupervision(
             config, self.grid.camera, gaussians, self.classes, self.classifier, tracked=tracked_masks
         )
-        self._keyframe_labels = KeyframeLabels(self.classes, self.grid)
+        self._pictures = LabelPictures(self.grid, device=gaussians.device)
+        self._keyframe_labels = KeyframeLabels(self.classes, self._pictures)
         self._other_frames = self._frames = 0
         self._told: dict[int, dict[str, Any]] = {}  # by an earlier map's list of objects
 
@@ -114,31 +115,40 @@ class ObjectLearning(Stateful):
         return np.where(sure, rendered.classes, np.int32(IGNORED))
 
     def supervise_keyframe(
-        self, frame: Frame, T_wc: Float64, renderer: Renderer | None
-    ) -> tuple[IdentitySeeds, Labels | None]:
+        self,
+        frame: Frame,
+        T_wc: Float64,
+        renderer: Renderer | None,
+        *,
+        without: NDArray[np.bool_] | None = None,
+    ) -> tuple[IdentitySeeds, Any]:
         """Take in a keyframe's mask.
 
         Args:
             frame: with depth.
             T_wc: [4, 4] its pose.
             renderer: has rendered the map from there; None while the map is empty.
+            without: [h, w] pixels that the rendered identity is not to be fitted to; None: there are none.
 
         Returns:
-            What new Gaussians begin as, and [h, w] the class that the rendered identity should have, negative
-            for any; None: the frame says nothing of objects.
+            What new Gaussians begin as, and [h, w] int on the device: the class that the rendered identity
+            should have, negative for any; None: the frame says nothing of objects.
         """
         assert frame.depth is not None
         few = self._supervise(frame, T_wc, renderer, keep=True)
         if few is None:
             return IdentitySeeds(self.classifier.codes), None
-        grid, mask, shape = self.grid, frame.mask, frame.depth.shape
-        votes = grid.spread(few.votes, shape) if mask is None else of_mask(grid, few.votes, mask)
-        seeds = IdentitySeeds(self.classifier.codes, changed(grid, votes, few.seeds), votes)
+        labels = MaskLabels.of(self.grid, few.votes, frame.mask)
+        height, width = frame.depth.shape
+        votes, training, begun = self._pictures.changed(
+            labels, (height, width), few.training, few.seeds, without=without
+        )
         self.visibility.add(frame.index, few.votes)
-        if mask is None:
+        seeds = IdentitySeeds(self.classifier.codes, begun, votes)
+        if frame.mask is None:
             return seeds, None
-        self._keyframe_labels.keep(frame.index, votes)
-        return seeds, changed(grid, votes, few.training)
+        self._keyframe_labels.keep(frame.index, labels)
+        return seeds, training
 
     def vote_is_due(self, frame: Frame, newest: int) -> bool:
         """Return whether ``frame`` is to vote though it is no keyframe; ask once for every frame, in order.
@@ -167,7 +177,7 @@ class ObjectLearning(Stateful):
             return None
         return self._frames // interval % keyframes
 
-    def relabel(self, index: int, depth: Float32, T_wc: Float64, renderer: Renderer) -> Labels | None:
+    def relabel(self, index: int, depth: Float32, T_wc: Float64, renderer: Renderer) -> Any:
         """Return what a past keyframe is to be fitted to as the map sees it by now; None: as it is.
 
         Args:
@@ -177,7 +187,7 @@ class ObjectLearning(Stateful):
             renderer: has rendered the map from there.
 
         Returns:
-            [h, w] the class of each pixel; negative: any.
+            [h, w] int, on the device, the class of each pixel; negative: any.
         """
         surface = PosedDepth(depth, T_wc, self.grid.camera)
         few = self._supervision.relabel(index, surface, self._few(renderer))

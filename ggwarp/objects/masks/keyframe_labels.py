@@ -4,14 +4,11 @@
 from __future__ import annotations
 
 import zlib
+from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from ggwarp.geometry.pixel_grid import PixelGrid
 from ggwarp.objects.class_table import ClassTable
-from ggwarp.objects.labels import Labels, as_runs, from_runs
-from ggwarp.objects.masks.label_grid import changed
+from ggwarp.objects.labels import Labels
+from ggwarp.objects.masks.label_grid import LabelPictures, MaskLabels, PackedLabels
 from ggwarp.runtime.state import Stateful
 
 
@@ -20,29 +17,30 @@ class KeyframeLabels(Stateful):
 
     STATE = ("_given", "_learnt")
 
-    def __init__(self, classes: ClassTable, grid: PixelGrid) -> None:
+    def __init__(self, classes: ClassTable, pictures: LabelPictures) -> None:
         """Remember nothing yet; ``classes`` says which are one object."""
         self._classes = classes
-        self._grid = grid
-        self._given: dict[int, NDArray[np.uint16]] = {}
+        self._pictures = pictures
+        self._given: dict[int, PackedLabels] = {}
         self._learnt: dict[int, int] = {}  # checksums
 
-    def keep(self, index: int, labels: Labels) -> None:
-        """Remember what frame ``index`` shows, [h, w] the class of each pixel; negative: not known."""
-        if self._grid.step > 1:
-            self._given[index] = as_runs(labels)
+    def keep(self, index: int, labels: MaskLabels) -> None:
+        """Remember what frame ``index`` shows."""
+        self._given[index] = PackedLabels.of(labels)
 
-    def relabelled(self, index: int, few: Labels, shape: tuple[int, ...]) -> Labels | None:
+    def relabelled(self, index: int, few: Labels, shape: tuple[int, int]) -> Any:
         """Return what frame ``index`` is to be fitted to by now; None: what it is fitted to already.
 
         Args:
             few: [gh, gw] that, at the grid's pixels.
             shape: height and width of the frame's images.
+
+        Returns:
+            [h, w] int, on the device.
         """
         checksum = zlib.crc32(few.tobytes())
         if self._learnt.get(index) == checksum:
             return None
         self._learnt[index] = checksum
-        if self._grid.step == 1:
-            return few
-        return changed(self._grid, from_runs(self._given[index], shape, self._classes.merged), few)
+        given = self._given[index].unpacked(few.shape, self._classes)
+        return self._pictures.changed(given, shape, few)[1]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Labels found at the pixels of a grid, given back to every pixel of the picture.
+"""Labels found at the pixels of a grid, given back to every pixel of the picture, on the device.
 
 Which object a mask shows, where and under which id is a matter of areas, which a grid measures; borders are
 the mask's own.
@@ -7,60 +7,129 @@ the mask's own.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
+import warp as wp
+from numpy.typing import NDArray
 
 from ggwarp.geometry.distinct import ranked
 from ggwarp.geometry.pixel_grid import PixelGrid
-from ggwarp.objects.class_table import IGNORED
-from ggwarp.objects.labels import Labels, contingency
+from ggwarp.kernels.identity.label_pictures import spread_labels
+from ggwarp.objects.class_table import IGNORED, ClassTable
+from ggwarp.objects.labels import Labels, as_runs, contingency, from_runs
+from ggwarp.runtime.state import state_value
+
+_MOST_IDS = 65535
+"""Ids above are numbered by rank: a table of them all would be long, and runs have 16 bits."""
 
 
-def changed(grid: PixelGrid, whole: Labels, few: Labels) -> Labels:
-    """Return labels ``whole`` [h, w], as ``few`` [gh, gw] has them in the blocks where these differ."""
-    if grid.step == 1:
-        return few
-    rows, columns = np.nonzero(grid.thinned(whole) != few)
-    if not len(rows):
-        return whole
-    out, labels = whole.copy(), few[rows, columns]
-    # What is left over goes with the last block of a row or column.
-    ends = [
-        np.where(at == count - 1, size, np.minimum((at + 1) * grid.step, size))
-        for at, count, size in zip((rows, columns), few.shape, whole.shape, strict=True)
-    ]
-    reach = grid.step + grid.step // 2
-    down, right = np.divmod(np.arange(reach * reach), reach)
-    y, x = rows[:, None] * grid.step + down, columns[:, None] * grid.step + right
-    inside = (y < ends[0][:, None]) & (x < ends[1][:, None])
-    out[y[inside], x[inside]] = np.broadcast_to(labels[:, None], y.shape)[inside]
-    return out
+@dataclass(frozen=True)
+class MaskLabels:
+    """The label of every pixel of a picture, by its mask and a grid.
 
-
-def of_mask(grid: PixelGrid, few: Labels, mask: Labels) -> Labels:
-    """Return the label [h, w] of every pixel of a mask, from those at the grid's.
-
-    Args:
-        grid: the pixels.
-        few: [gh, gw] their labels.
-        mask: [h, w] the mask's ids: a pixel has the label that most of its id's have, but in the blocks of
-            grid pixels that have another.
+    Attributes:
+        mask: [h, w] small ids, not below -1; None: there is no mask.
+        usual: [k] the label that ids from -1 on usually have; the last is for those beyond, too.
+        votes: [gh, gw] the labels of the grid's pixels.
     """
-    if grid.step == 1:
-        return few
-    ids, ranks = ranked(grid.thinned(mask))
-    known = np.maximum(few, IGNORED) - IGNORED
-    size = max(len(ids), int(known.max()) + 1)
-    usual = contingency(ranks.astype(np.int32), known, size)[: len(ids)]
-    labels = usual.argmax(axis=1).astype(np.int32) + np.int32(IGNORED)
-    return changed(grid, _looked_up(mask, ids, labels), few)
+
+    mask: Labels | None
+    usual: Labels
+    votes: Labels
+
+    @staticmethod
+    def of(grid: PixelGrid, votes: Labels, mask: Labels | None) -> MaskLabels:
+        """Find out which label the ids of ``mask`` [h, w] usually have, by those of the grid's pixels."""
+        nothing = np.full(2, IGNORED, np.int32)
+        if mask is None or grid.step == 1:
+            return MaskLabels(None, nothing, votes)
+        if mask.min() < -1 or mask.max() >= _MOST_IDS:
+            mask = ranked(mask)[1].astype(np.int32)
+        few = grid.thinned(mask)
+        ids, ranks = ranked(few)
+        known = np.maximum(votes, IGNORED) - IGNORED
+        size = max(len(ids), int(known.max()) + 1)
+        labels = contingency(ranks.astype(np.int32), known, size)[: len(ids)].argmax(axis=1) + IGNORED
+        usual = np.full(int(ids[-1]) + 3, IGNORED, np.int32)  # from -1 to one more than the largest
+        usual[ids + 1] = labels
+        return MaskLabels(mask, usual, votes)
 
 
-def _looked_up(mask: Labels, ids: Labels, labels: Labels) -> Labels:
-    """Return the label of each id in ``mask``, by rising ``ids`` [k] and their ``labels``; ignored else."""
-    least, most = int(ids[0]), int(ids[-1])
-    if most - least < mask.size:
-        table = np.full(most - least + 3, IGNORED, np.int32)  # the first and the last: of other ids
-        table[ids - least + 1] = labels
-        return table.take(mask - np.int32(least - 1), mode="clip")
-    at = np.minimum(np.searchsorted(ids, mask), len(ids) - 1)
-    return np.where(ids[at] == mask, labels[at], np.int32(IGNORED))
+@state_value
+@dataclass(frozen=True)
+class PackedLabels:
+    """:class:`MaskLabels` in little memory: ``mask`` and ``votes`` as runs, and the mask's shape."""
+
+    mask: NDArray[np.uint16] | None
+    shape: tuple[int, ...]
+    usual: Labels
+    votes: NDArray[np.uint16]
+
+    @staticmethod
+    def of(labels: MaskLabels) -> PackedLabels:
+        """Pack ``labels``."""
+        mask = labels.mask
+        runs, shape = (None, ()) if mask is None else (as_runs(mask), mask.shape)
+        return PackedLabels(runs, shape, labels.usual, as_runs(labels.votes))
+
+    def unpacked(self, shape: tuple[int, ...], classes: ClassTable) -> MaskLabels:
+        """Return the labels again, those of ``classes`` merged since as one; ``shape``: the grid's."""
+        mask = None if self.mask is None else from_runs(self.mask, self.shape)
+        usual = classes.merged(self.usual)
+        return MaskLabels(mask, usual, from_runs(self.votes, shape, classes.merged))
+
+
+class LabelPictures:
+    """Makes pictures of labels, on a device."""
+
+    def __init__(self, grid: PixelGrid, *, device: Any) -> None:
+        """Prepare for labels at the pixels of ``grid``."""
+        self._grid, self._device = grid, device
+
+    def changed(
+        self,
+        labels: MaskLabels,
+        shape: tuple[int, int],
+        one: Labels,
+        other: Labels | None = None,
+        *,
+        without: NDArray[np.bool_] | None = None,
+    ) -> tuple[Any, Any, Any]:
+        """Return ``labels`` of all pixels, as they are, as ``one`` and as ``other`` [gh, gw] have them.
+
+        All are [h, w] int on the device. Others count in the blocks where they differ from the votes.
+        Without ``other`` only the second is made.
+
+        Args:
+            shape: height and width of the pictures.
+            without: [h, w] where the second says nothing; None: nowhere.
+        """
+        if without is not None and self._grid.step == 1:
+            one = np.where(without, np.int32(IGNORED), one)
+        few = [labels.votes, one, other]
+        wanted = [other is not None, True, other is not None]
+        grids = [None if image is None else self._uploaded(image) for image in few]
+        if self._grid.step == 1:
+            first, second, third = (g if w else None for g, w in zip(grids, wanted, strict=True))
+            return first, second, third
+        first, second, third = (
+            wp.empty(shape, dtype=int, device=self._device) if w else None for w in wanted
+        )
+        spread_labels(
+            step=self._grid.step,
+            mask=None if labels.mask is None else self._uploaded(labels.mask),
+            usual=self._uploaded(labels.usual),
+            few=grids[0],
+            out=first,
+            others=(grids[1], grids[2]),
+            without=None if without is None else wp.array(without, dtype=wp.uint8, device=self._device),
+            out_others=(second, third),
+            shape=shape,
+            device=self._device,
+        )
+        return first, second, third
+
+    def _uploaded(self, image: Labels) -> Any:
+        return wp.array(image, dtype=int, device=self._device)

@@ -82,7 +82,7 @@ IMAGES = ("colour", "depth", "labels", "depth_weights")
 def upload(
     frame: Frame,
     T_wc: Float64,
-    labels: NDArray[np.int32] | None,
+    labels: Any,
     exposure: Exposure = _NEUTRAL,
     *,
     device: Any,
@@ -90,7 +90,7 @@ def upload(
     """Copy ``frame``, seen from ``T_wc`` [4, 4], to the device.
 
     Args:
-        labels: [h, w] class of each pixel; None where there is no mask.
+        labels: [h, w] int, there already or not, the class of each pixel; None where there is no mask.
         exposure: of the picture, where its fit starts.
     """
     T_cw = se3.inverse(T_wc).astype(np.float32)
@@ -108,7 +108,7 @@ def upload(
         exposure_steps=wp.zeros(1, dtype=wp.int32, device=device),
         colour=wp.array(frame.rgb, dtype=wp.uint8, device=device),
         depth=wp.array(depth, dtype=float, device=device),
-        labels=None if labels is None else wp.array(labels, dtype=int, device=device),
+        labels=wp.array(labels, dtype=int, device=device) if isinstance(labels, np.ndarray) else labels,
         depth_weights=None if weights is None else wp.array(weights, dtype=wp.uint8, device=device),
         checksum=frame_checksum(frame.rgb, frame.depth),
     )
@@ -201,8 +201,8 @@ class Keyframes(Sequence[Keyframe], Stateful):
             depth = few[0]
         return to_host(depth)
 
-    def label(self, number: int, labels: NDArray[np.int32]) -> None:
-        """Replace the labels of keyframe ``number`` by ``labels`` [h, w], if it has any."""
+    def label(self, number: int, labels: Any) -> None:
+        """Replace the labels of keyframe ``number``, if any, by ``labels`` [h, w] int, of any device."""
         key = number, "labels"
         if key in self._images:
             array = self._images.get(key)

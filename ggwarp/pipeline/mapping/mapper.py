@@ -183,9 +183,12 @@ class Mapper(Stateful):
         seeds = training = None
         if self.objects is not None:
             whole = frame if wrong is None else measured
-            seeds, training = self.objects.supervise_keyframe(whole, T_wc, self._renderer if seen else None)
-            if training is not None and wrong is not None and wrong.any():
-                training = np.where(wrong, np.int32(-1), training)
+            seeds, training = self.objects.supervise_keyframe(
+                whole,
+                T_wc,
+                self._renderer if seen else None,
+                without=wrong if wrong is not None and wrong.any() else None,
+            )
         keyframe = upload(measured, T_wc, training, exposure, device=self._device)
         depth = keyframe.depth
         if frame.depth is not measured.depth:

@@ -186,10 +186,6 @@ class Seeder:
         )
         self._map.fields["keyframe_ids"][begin : begin + count].fill_(keyframe_id)
         if identities is not None:
-
-            def uploaded(image: Any) -> Any:
-                return None if image is None else wp.array(image, dtype=int, device=device)
-
             begin_identities(
                 self._seed_rules,
                 begin=begin,
@@ -197,8 +193,8 @@ class Seeder:
                 numbers=numbers,
                 seed=int(rng.integers(2**31)),
                 codes=wp.array(identities.codes, dtype=vec16, device=device),
-                classes=uploaded(identities.classes),
-                labels=uploaded(identities.votes),
+                classes=identities.classes,
+                labels=identities.votes,
                 identities=self._map.fields["identities"],
                 votes=self._map.fields["votes"],
                 device=device,

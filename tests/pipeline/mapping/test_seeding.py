@@ -91,6 +91,9 @@ class Seeding:
         identities: IdentitySeeds | None = None,
     ) -> Gaussians:
         there = None if present is None else self.uploaded(present)
+        if identities is not None and identities.classes is not None:
+            labels = (wp.array(x, dtype=int, device="cpu") for x in (identities.classes, identities.votes))
+            identities = IdentitySeeds(identities.codes, *(x.to(self.map.device) for x in labels))
         before = self.map.count
         rng = np.random.default_rng(9)
         count = self.seeder.add(seen, self.uploaded(density), there, 5, identities, rng)
