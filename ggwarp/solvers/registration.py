@@ -17,68 +17,23 @@ from ggwarp.kernels.registration import covariance, gicp, gicp_loop, gicp_pairs,
 from ggwarp.runtime.graphs import GraphCache
 from ggwarp.runtime.state import FrameSource, State, Stateful
 from ggwarp.runtime.streams import to_host
-from ggwarp.types import Float64
-
-_POSE = 16
-"""Numbers of a pose."""
+from ggwarp.solvers.registration_arrays import (
+    Cloud,
+    RegistrationArrays,
+    RegistrationStage,
+    RegistrationTarget,
+)
+from ggwarp.types import Float32, Float64
 
 _GROWTH = 1.5
 
+_PLACES = np.zeros((6, 6), np.intp)
+"""Where a system has each number of H."""
+_PLACES[np.triu_indices(6)] = np.arange(21)
+_PLACES = np.maximum(_PLACES, _PLACES.T)
+
 _MEDIAN_CHI2 = 0.455
 """Median of the chi-squared distribution of one degree of freedom."""
-
-
-@dataclass(frozen=True)
-class Cloud:
-    """Points with covariances.
-
-    Attributes:
-        points: [n] wp.vec3, metres.
-        covariances: [n] wp.mat33, m^2, in the points' frame.
-    """
-
-    points: Any
-    covariances: Any
-
-    @property
-    def count(self) -> int:
-        return self.points.shape[0]
-
-
-@dataclass(frozen=True)
-class RegistrationTarget:
-    """A map to register to.
-
-    Attributes:
-        grid: built hash grid of the points, world frame.
-        covariances: [n] wp.mat33, world frame, in the grid's order.
-    """
-
-    grid: Any
-    covariances: Any
-
-    @property
-    def count(self) -> int:
-        return self.grid.count
-
-
-@dataclass(frozen=True)
-class RegistrationStage:
-    """Linearisations that share a correspondence radius.
-
-    Attributes:
-        radius: farthest match, metres.
-        iterations: linearisations at most.
-        tolerance: converged when a step is smaller, metres and radians.
-        robust_scale: Geman-McClure's, standard deviations; the default is plain least squares.
-        thinning: use every thinning-th point.
-    """
-
-    radius: float
-    iterations: int
-    tolerance: float
-    robust_scale: float = 1e6
-    thinning: int = 1
 
 
 @dataclass(frozen=True)
@@ -118,7 +73,8 @@ def build_target(means: Any, quats: Any, scales: Any, *, cell_size: float, devic
     n = means.shape[0]
     grid = hash_grid.allocate_hash_grid(n, device=device)
     hash_grid.build_hash_grid(grid, means, cell_size=cell_size, device=device)
-    covariances = _empty(n, wp.mat33, device)
+    matrix: Any = wp.mat33
+    covariances = wp.empty(n, dtype=matrix, device=device)
     covariance.build_covariances(quats, scales, order=grid.indices, covariances=covariances, device=device)
     return RegistrationTarget(grid, covariances)
 
@@ -177,7 +133,7 @@ class Registrar(Stateful):
             stages: coarse to fine.
         """
         self._reserve(cloud.count, len(stages))
-        self._load(cloud, target, T_start, stages)
+        self._arrays.load(cloud, target, T_start, stages)
         if self._recorded and stages:
             thinnings = tuple(stage.thinning for stage in stages)
             room = self._room[0]
@@ -185,15 +141,16 @@ class Registrar(Stateful):
         else:
             self._run([stage.thinning for stage in stages], cloud.count)
         if stages:
+            loop = self._arrays.loop
             gicp_pairs.fix_across(
-                self._arrays.problem,
-                self._arrays.stages,
+                loop.problem,
+                loop.stages,
                 stage=len(stages) - 1,
                 count=cloud.count,
-                pose=self._arrays.pose,
-                sums=self._arrays.sums,
-                folded=self._arrays.folded,
-                system=self._across,
+                pose=loop.pose,
+                sums=loop.sums,
+                folded=loop.folded,
+                system=self._arrays.across,
                 device=self._device,
             )
         return self._result()
@@ -211,24 +168,51 @@ class Registrar(Stateful):
             radius: farthest match, metres.
         """
         self._reserve(cloud.count, 0)
-        self._load(cloud, target, T_wc, [])
+        self._arrays.load(cloud, target, T_wc, [])
         gicp_pairs.pair_residuals(
-            self._arrays.problem,
-            self._arrays.pose,
+            self._arrays.loop.problem,
+            self._arrays.loop.pose,
             count=cloud.count,
             radius=radius,
-            residuals2=self._residuals2,
+            residuals2=self._arrays.per_point,
             device=self._device,
         )
         if not cloud.count:
             return float("inf")
         # Of an even number the higher one: the mean with an inf would be one.
-        found = np.partition(to_host(self._residuals2[: cloud.count]), cloud.count // 2)
+        found = np.partition(to_host(self._arrays.per_point[: cloud.count]), cloud.count // 2)
         return float(np.sqrt(found[cloud.count // 2] / _MEDIAN_CHI2))
+
+    def match_distances2(
+        self, cloud: Cloud, target: RegistrationTarget, T_wc: Float64, *, radius: float
+    ) -> Float32:
+        """Return [n] the points' squared distances, m^2, to the nearest of the map; inf beyond ``radius``.
+
+        They hold until the next call of any method.
+
+        Args:
+            T_wc: [4, 4] camera-to-world.
+            radius: metres.
+        """
+        self._reserve(cloud.count, 0)
+        self._arrays.load(cloud, target, T_wc, [])
+        distances2 = self._arrays.per_point[: cloud.count]
+        gicp.match_points(
+            cloud.points,
+            target.grid,
+            self._arrays.loop.pose,
+            radius=radius,
+            matches=self._arrays.matches,
+            distances2=distances2,
+            device=self._device,
+        )
+        return to_host(distances2)
 
     def _run(self, thinnings: Sequence[int], count: int) -> None:
         for stage, thinning in enumerate(thinnings):
-            gicp_loop.run_stage(self._arrays, stage=stage, count=-(-count // thinning), device=self._device)
+            gicp_loop.run_stage(
+                self._arrays.loop, stage=stage, count=-(-count // thinning), device=self._device
+            )
 
     def _reserve(self, points: int, stages: int) -> None:
         if points <= self._room[0] and stages <= self._room[1]:
@@ -237,55 +221,14 @@ class Registrar(Stateful):
 
     def _allocate(self, points: int, stages: int) -> None:
         self._room = (points, stages)
-
-        def zeros(shape: Any, dtype: Any) -> Any:
-            return wp.zeros(shape, dtype=dtype, device=self._device)
-
-        # What is read in the end lies together.
-        self._numbers = zeros(_POSE + gicp.SUMS + gicp_loop.PROGRESS + gicp.SUMS, wp.float64)
-        matrix: Any = wp.mat44d
-        pose = wp.array(ptr=self._numbers.ptr, dtype=matrix, shape=1, device=self._device)
-        pose._ref = self._numbers
-        self._across = self._numbers[-gicp.SUMS :]
-        self._residuals2 = zeros(max(1, points), wp.float32)
-        rows = max(1, gicp.block_count(self._room[0], self._device))
-        self._arrays = gicp_loop.LoopArrays(
-            problem=zeros(1, gicp.Problem),
-            stages=zeros(max(1, self._room[1]), gicp.StageSettings),
-            pose=pose,
-            system=self._numbers[_POSE : _POSE + gicp.SUMS],
-            progress=self._numbers[_POSE + gicp.SUMS : -gicp.SUMS],
-            state=zeros(gicp_loop.STATES, wp.int32),
-            sums=zeros((rows, gicp.SUMS), wp.float64),
-            folded=zeros((gicp.FOLDED, gicp.SUMS), wp.float64),
-        )
-
-    def _load(
-        self, cloud: Cloud, target: RegistrationTarget, T_start: Float64, stages: list[RegistrationStage]
-    ) -> None:
-        problem: Any = gicp.Problem()
-        problem.points, problem.covariances = cloud.points, cloud.covariances
-        problem.grid, problem.grid_covariances = target.grid, target.covariances
-        self._arrays.problem.assign([problem])
-        rows = []
-        for stage in stages:
-            row: Any = gicp.StageSettings()
-            for name in ("radius", "iterations", "tolerance", "robust_scale", "thinning"):
-                setattr(row, name, getattr(stage, name))
-            rows.append(row)
-        if rows:
-            self._arrays.stages[: len(rows)].assign(rows)
-        numbers = np.zeros(self._numbers.shape[0])
-        numbers[:_POSE] = np.asarray(T_start, np.float64).ravel()
-        self._numbers.assign(numbers)
+        self._arrays = RegistrationArrays(points, stages, self._device)
 
     def _result(self) -> Registration:
-        numbers: Float64 = np.array(to_host(self._numbers), np.float64)
-        system, progress = numbers[_POSE : _POSE + gicp.SUMS], numbers[_POSE + gicp.SUMS : -gicp.SUMS]
+        T_wc, system, progress, across = self._arrays.read()
         return Registration(
-            T_wc=numbers[:_POSE].reshape(4, 4),
+            T_wc=T_wc,
             information=unpack_information(system),
-            across=unpack_information(numbers[-gicp.SUMS :]),
+            across=unpack_information(across),
             cost=float(system[27]),
             matched=int(system[28]),
             converged=bool(progress[gicp_loop.CONVERGED]),
@@ -295,23 +238,4 @@ class Registrar(Stateful):
 
 def unpack_information(system: Float64) -> Float64:
     """Return H [6, 6] of a system as :func:`ggwarp.kernels.registration.gicp.linearise` packs it."""
-    H = np.zeros((6, 6))
-    H[np.triu_indices(6)] = system[:21]
-    return H + np.triu(H, 1).T
-
-
-def match_distances2(
-    cloud: Cloud, target: RegistrationTarget, T_wc: Float64, *, radius: float, device: Any
-) -> Any:
-    """Return [n] float32 squared distances to the nearest map point at ``T_wc``; inf beyond ``radius``."""
-    pose = wp.array(np.asarray(T_wc, np.float64)[None], dtype=wp.mat44d, device=device)
-    matches = _empty(cloud.count, int, device)
-    distances2 = _empty(cloud.count, float, device)
-    gicp.match_points(
-        cloud.points, target.grid, pose, radius=radius, matches=matches, distances2=distances2, device=device
-    )
-    return to_host(distances2)
-
-
-def _empty(shape: Any, dtype: Any, device: Any) -> Any:
-    return wp.empty(shape, dtype=dtype, device=device)
+    return system[_PLACES]

@@ -23,7 +23,6 @@ from ggwarp.solvers.registration import (
     Registration,
     RegistrationTarget,
     build_target,
-    match_distances2,
 )
 from ggwarp.solvers.registration_stages import REACH, cell_size, register_coarse_to_fine, scaled_information
 from ggwarp.types import Float32, Float64, Frame, FramePoints, MapSnapshot, TrackResult, Verdict, overlap_of
@@ -236,7 +235,7 @@ class GicpTracker(Stateful):
         assert self._target is not None
         reach = np.maximum(seen.noise, max(OVERLAP_DISTANCE, REACH * seen.spacing))
         farthest = float(reach.max(initial=0.0))
-        distances2 = match_distances2(seen.cloud, self._target, T_wc, radius=farthest, device=self._device)
+        distances2 = self._registrar.match_distances2(seen.cloud, self._target, T_wc, radius=farthest)
         return np.where(distances2 <= reach * reach, distances2, np.float32(np.inf))
 
     def _judge(self, found: _RegisteredPose, seen: Observation, predicted: Float64) -> tuple[Verdict, str]:
