@@ -90,7 +90,7 @@ def surface_points(
         rows = wp.array(neighbours.reshape(count, -1).astype(np.int32), dtype=int, device=device)
         covariance.estimate_covariances(on_device, on_device, rows, quats=quats, scales=scales, device=device)
         share = float(np.median(to_host(scales)[:, 2] / noise))
-        spreads = plane_spreads(scales, noise, share, device)
+        spreads = plane_spreads(scales, wp.array(noise, dtype=float, device=device), share, device)
     unmatched = np.full(count, np.inf, np.float32)
     return FramePoints(points.astype(np.float32), to_host(quats), to_host(spreads), noise, unmatched)
 

@@ -31,3 +31,5 @@ def test_values_are_uploaded(device: str, rng: np.random.Generator) -> None:
     for shape in ((4, 6), (3, 2), (7, 9)):
         values = rng.normal(size=shape).astype(np.float32)
         np.testing.assert_array_equal(scratch.upload("image", values, wp.float32).numpy(), values)
+    points = scratch.upload("points", rng.normal(size=(5, 3)).astype(np.float32), wp.vec3)
+    assert points.shape == (5,) and points.dtype == wp.vec3

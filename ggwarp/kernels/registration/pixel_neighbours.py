@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Exact k nearest points among those of a depth image, searched around each point's pixel.
+"""Neighbours among the points of a depth image: the exact k nearest, and what their normals differ by.
 
 A point whose pixel lies ``r`` samples away is at least as far as the planes through the camera centre and
 the sample columns and rows at that distance. The search grows ring by ring of samples round the query's
@@ -99,6 +99,11 @@ def _k_nearest(
         indices[i, s] = best[s]
 
 
+def sample_grid(height: int, width: int, stride: int) -> tuple[int, int]:
+    """Return (rows, columns) of every ``stride``-th pixel of an image, from pixel stride // 2 on."""
+    return len(range(stride // 2, height, stride)), len(range(stride // 2, width, stride))
+
+
 def find_k_nearest_pixels(
     points: Any,
     pixels: Any,
@@ -114,11 +119,11 @@ def find_k_nearest_pixels(
 
     Args:
         points: [n] wp.vec3, camera frame, z > 0, each on the ray of its pixel.
-        pixels: [n] wp.vec2i, (u, v), no two of one sample: see ``back_projection.sample_depth``.
+        pixels: [n] wp.vec2i, (u, v), no two of one sample.
         intrinsics: fx, fy, cx, cy, pixels.
         stride: pixels between samples.
         k: neighbours, a point's own place among them.
-        places: [rows, columns] int of ``back_projection.sample_grid``, scratch.
+        places: [rows, columns] int of :func:`sample_grid`, written: the point of each sample, -1: none.
         indices: [n, k] int, written: -1 where there are fewer points.
 
     Raises:
@@ -135,4 +140,98 @@ def find_k_nearest_pixels(
         inputs=[points, pixels, places, stride, wp.vec4(*intrinsics), k],
         outputs=[indices],
         device=device,
+    )
+
+
+@wp.func
+def _normal(q: wp.vec4) -> wp.vec3d:
+    """Last axis of the rotation ``q``, w first."""
+    n = wp.normalize(wp.vec4d(wp.float64(q[0]), wp.float64(q[1]), wp.float64(q[2]), wp.float64(q[3])))
+    one, two = wp.float64(1.0), wp.float64(2.0)
+    return wp.vec3d(
+        two * (n[1] * n[3] + n[0] * n[2]),
+        two * (n[2] * n[3] - n[0] * n[1]),
+        one - two * (n[1] * n[1] + n[2] * n[2]),
+    )
+
+
+@wp.kernel
+def _tilts(
+    offset: int,
+    points: wp.array[wp.vec3],
+    pixels: wp.array[wp.vec2i],
+    places: wp.array2d[int],
+    stride: int,
+    apart: int,
+    same_surface: float,
+    quats: wp.array[wp.vec4],
+    scales: wp.array[wp.vec3],
+    deviations: wp.array[float],
+    neighbours: int,
+    tilts: wp.array[wp.float64],
+):
+    i = offset + wp.tid()
+    tilt = wp.float64(-1.0)
+    row = pixels[i][1] // stride
+    column = pixels[i][0] // stride + apart
+    if column < places.shape[1]:
+        j = places[row, column]
+        if j >= 0:
+            z = points[i][2]
+            if wp.abs(z - points[j][2]) < same_surface * z:
+                # In double: of a small angle single precision's cosine keeps nothing.
+                cosine = wp.abs(wp.dot(_normal(quats[i]), _normal(quats[j])))
+                angle = wp.acos(wp.min(cosine, wp.float64(1.0)))
+                extent = wp.float64(wp.max(wp.sqrt(scales[i][0] * scales[i][1]), 1.0e-6))
+                tilt = angle / (wp.float64(deviations[i]) / (wp.sqrt(wp.float64(neighbours)) * extent))
+    tilts[i] = tilt
+
+
+def normal_tilts(
+    points: Any,
+    pixels: Any,
+    places: Any,
+    *,
+    stride: int,
+    apart: int,
+    same_surface: float,
+    quats: Any,
+    scales: Any,
+    deviations: Any,
+    neighbours: int,
+    tilts: Any,
+    device: Any,
+) -> None:
+    """Measure the angle between each point's normal and that of a sample beside it.
+
+    A plane through k readings of deviation s, spread over e, is tilted by s / (sqrt(k) e) about either axis.
+
+    Args:
+        points, pixels, places, stride: as :func:`find_k_nearest_pixels` takes and leaves them.
+        apart: samples to the one beside.
+        same_surface: readings farther apart than this share of their depth are on two surfaces.
+        quats: [n] wp.vec4, w first, ellipses whose last axis is the normal.
+        scales: [n] wp.vec3, metres, their standard deviations, falling.
+        deviations: [n] float, metres, of each reading, s.
+        neighbours: readings that an ellipse is fitted to, k.
+        tilts: [n] float64, written: in such deviations; -1 where there is none beside on the same surface.
+    """
+    launch_split(
+        _tilts,
+        points.shape[0],
+        inputs=[
+            points,
+            pixels,
+            places,
+            stride,
+            apart,
+            same_surface,
+            quats,
+            scales,
+            deviations,
+            neighbours,
+        ],
+        outputs=[tilts],
+        device=device,
+        min_piece=1024,
     )

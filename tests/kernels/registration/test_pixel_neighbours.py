@@ -5,8 +5,13 @@ import numpy as np
 import pytest
 import warp as wp
 
-from ggwarp.kernels.registration.back_projection import sample_grid
-from ggwarp.kernels.registration.pixel_neighbours import MOST_NEIGHBOURS, find_k_nearest_pixels
+from ggwarp.geometry import se3
+from ggwarp.kernels.registration.pixel_neighbours import (
+    MOST_NEIGHBOURS,
+    find_k_nearest_pixels,
+    normal_tilts,
+    sample_grid,
+)
 from ggwarp.ops.reference.registration import k_nearest
 
 H, W = 60, 84
@@ -103,3 +108,47 @@ def test_too_many_neighbours_are_refused():
     points, pixels = sampled(np.ones((H, W)), 3, (80.0, 75.0, 40.0, 31.0))
     with pytest.raises(ValueError, match="k = 17, but it must be 1 to 16"):
         search(points, pixels, (80.0, 75.0, 40.0, 31.0), 3, MOST_NEIGHBOURS + 1)
+
+
+def test_normals_are_compared_with_those_beside(rng, device):
+    stride, apart, same, neighbours = 3, 4, 0.05, 10
+    image = 2.0 + 0.3 * rng.random((H, W)) * (rng.random((H, W)) < 0.5)
+    image[rng.random((H, W)) < 0.2] = 0.0
+    points, pixels = sampled(image, stride, (80.0, 75.0, 40.0, 31.0))
+    n = len(points)
+    # Errors of normals of 1e-5 to 1e-1 radians: those of rendered depth are that small.
+    axes = rng.normal(size=(n, 3)) * 10.0 ** rng.uniform(-5, -1, size=(n, 1))
+    quats = np.concatenate([np.ones((n, 1)), axes], axis=1).astype(np.float32)
+    scales = -np.sort(-rng.uniform(0.001, 0.1, (n, 3))).astype(np.float32)
+    deviations = rng.uniform(0.001, 0.02, n).astype(np.float32)
+    places = np.full(sample_grid(H, W, stride), -1, np.int32)
+    places[pixels[:, 1] // stride, pixels[:, 0] // stride] = np.arange(n)
+    tilts = wp.full(n, 7.0, dtype=wp.float64, device=device)
+    normal_tilts(
+        wp.array(points, dtype=wp.vec3, device=device),
+        wp.array(pixels.astype(np.int32), dtype=wp.vec2i, device=device),
+        wp.array(places, dtype=int, device=device),
+        stride=stride,
+        apart=apart,
+        same_surface=same,
+        quats=wp.array(quats, dtype=wp.vec4, device=device),
+        scales=wp.array(scales, dtype=wp.vec3, device=device),
+        deviations=wp.array(deviations, dtype=float, device=device),
+        neighbours=neighbours,
+        tilts=tilts,
+        device=device,
+    )
+    row, column = pixels[:, 1] // stride, pixels[:, 0] // stride + apart
+    beside = np.where(column < places.shape[1], places[row, np.minimum(column, places.shape[1] - 1)], -1)
+    z = points[:, 2]
+    pairs = (beside >= 0) & (np.abs(z - z[beside]) < np.float32(same) * z)
+    assert 50 < pairs.sum() < n - 50
+    normals = se3.matrices_from_quats(quats)[:, :, 2]
+    angles = np.arctan2(
+        np.linalg.norm(np.cross(normals, normals[beside]), axis=1),
+        np.abs((normals * normals[beside]).sum(axis=1)),
+    )
+    extents = np.sqrt(scales[:, 0].astype(np.float64) * scales[:, 1])
+    expected = angles / (deviations / (np.sqrt(neighbours) * extents))
+    np.testing.assert_allclose(tilts.numpy()[pairs], expected[pairs], rtol=1e-4, atol=1e-5)
+    np.testing.assert_array_equal(tilts.numpy()[~pairs], -1.0)

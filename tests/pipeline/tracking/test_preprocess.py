@@ -6,9 +6,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import warp as wp
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from ggwarp.geometry.camera import Camera
-from ggwarp.pipeline.tracking.preprocess import ObservationConfig, observe
+from ggwarp.pipeline.tracking.preprocess import ObservationConfig, observe, sample_points
 from ggwarp.runtime.scratch import ScratchArrays
 
 CAMERA = Camera(320, 240, 280.0, 280.0, 159.5, 119.5)
@@ -22,6 +24,36 @@ def planes(noise: float, rng: np.random.Generator) -> np.ndarray:
     depth[:, 170:] += 0.5
     depth += noise * (0.001 + 0.002 * depth**2) * rng.normal(size=depth.shape)
     return depth.astype(np.float32)
+
+
+@settings(max_examples=20)
+@given(h=st.integers(1, 30), w=st.integers(1, 30), stride=st.integers(1, 12), seed=st.integers(0, 999))
+def test_points_are_the_back_projected_grid(h: int, w: int, stride: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    depth = rng.uniform(0.05, 11.0, (h, w)).astype(np.float32)
+    depth[rng.random((h, w)) < 0.2] = 0.0
+    camera = Camera(w, h, 50.0, 60.0, 15.5, 11.25)
+    points, pixels = sample_points(depth, camera, stride, near=0.1, far=10.0)
+    v, u = np.mgrid[stride // 2 : h : stride, stride // 2 : w : stride]
+    z = depth[v, u].astype(np.float64)
+    keep = (z >= 0.1) & (z <= 10.0)
+    u, v, z = u[keep], v[keep], z[keep]
+    np.testing.assert_array_equal(pixels, np.stack([u, v], 1))
+    np.testing.assert_allclose(
+        points, np.stack([(u - 15.5) * z / 50.0, (v - 11.25) * z / 60.0, z], 1), rtol=1e-5
+    )
+
+
+def test_what_is_not_a_reading_gives_no_point() -> None:
+    depth = np.array([[0.0, np.nan, np.inf], [-1.0, 0.05, 10.5], [1.0, 9.9, 0.1]], np.float32)
+    _, pixels = sample_points(depth, Camera(3, 3, 50.0, 50.0, 1.0, 1.0), 1, near=0.1, far=10.0)
+    np.testing.assert_array_equal(pixels, [[0, 2], [1, 2], [2, 2]])
+
+
+@pytest.mark.parametrize("shape", [(0, 5), (5, 0), (0, 0)])
+def test_an_empty_image(shape: tuple[int, int], device: str) -> None:
+    camera = Camera(shape[1], shape[0], 50.0, 50.0, 1.0, 1.0)
+    assert observe(np.zeros(shape, np.float32), camera, CONFIG, device=device).count == 0
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.3, 1.0])

@@ -14,6 +14,7 @@ import warp as wp
 from ggwarp.datasets import Dataset, DatasetError, SyntheticOffice, open_dataset
 from ggwarp.geometry.camera import Camera
 from ggwarp.kernels.registration import covariance, hash_grid
+from ggwarp.kernels.registration.pixel_neighbours import sample_grid
 from ggwarp.pipeline.tracking.gicp import GicpConfig, GicpTracker
 from ggwarp.pipeline.tracking.keyframe_policy import KeyframeConfig, KeyframeKind, OverlapKeyframes
 from ggwarp.pipeline.tracking.point_map import TrackableConfig, TrackableMap
@@ -131,13 +132,14 @@ class Ours:
 
     def fit_ellipses(self) -> Any:
         """Return the covariance of each of the frame's points, from its 10 nearest."""
-        seen, device = self._at.seen, self._device
+        seen, camera, device = self._at.seen, self._at.camera, self._device
         quats, scales = fit_ellipses(
             seen.cloud.points,
             seen.pixels,
-            self._at.camera,
+            camera,
             stride=seen.stride,
             k=NEIGHBOURS,
+            places=wp.empty(sample_grid(camera.height, camera.width, seen.stride), dtype=int, device=device),
             device=device,
         )
         mat33: Any = wp.mat33
