@@ -18,7 +18,6 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from ggwarp.kernels.camera import intrinsics_of
 from ggwarp.kernels.registration.free_space import IN_PLACE, THROUGH, cast_votes
@@ -65,38 +64,62 @@ class _Voter:
 
 
 class _Ballot:
-    """Counts what views of ``camera`` say of each other's points, on ``device``."""
+    """Asks what views of ``camera`` say of each other's points, on ``device``, where it keeps their depth."""
 
     def __init__(self, camera: Camera, device: Any) -> None:
         self._camera, self._device = camera, device
+        self._stride = _stride(camera.height, camera.width)
         self._scratch = ScratchArrays(device)
+        self._kept: list[_Voter | None] = []  # by their place in the arrays of depth
+
+    def ask(self, pairs: Sequence[tuple[_Voter, _Voter]]) -> NDArray[np.uint8]:
+        """Return [p, h, w] what is said of each subject's pixels by its witness, for (subject, witness).
+
+        Two calls' answers are in the same memory.
+        """
+        voters = {id(voter): voter for pair in pairs for voter in pair}
+        depth, nearest = self._on_device(list(voters.values()))
+        places = {id(voter): place for place, voter in enumerate(self._kept)}
+        who = np.array([(places[id(subject)], places[id(witness)]) for subject, witness in pairs], np.int32)
+        subjects, witnesses = (np.stack([voter.T_wc for voter in side]) for side in zip(*pairs, strict=True))
+        motions = (np.linalg.inv(witnesses) @ subjects).astype(np.float32)
+        said = self._scratch.take("said", (len(pairs), *depth.shape[1:]), wp.uint8)
+        cast_votes(
+            depth,
+            nearest,
+            self._scratch.upload("who", who, wp.int32),
+            self._scratch.upload("motions", motions, wp.float32),
+            intrinsics_of(self._camera),
+            stride=self._stride,
+            tolerance=_TOLERANCE,
+            said=said,
+            device=self._device,
+        )
+        return to_host(said)
 
     def vote(self, pairs: Sequence[tuple[_Voter, _Voter]]) -> None:
         """Count for each (subject, witness) where the witness sees through its points, or finds them."""
         if not pairs:
             return
-        voters = {id(voter): voter for pair in pairs for voter in pair}
-        ranks = {key: rank for rank, key in enumerate(voters)}
-        depth, nearest = (
-            np.stack([getattr(voter, name) for voter in voters.values()]) for name in ("depth", "nearest")
-        )
-        who = np.array([(ranks[id(subject)], ranks[id(witness)]) for subject, witness in pairs], np.int32)
-        motions = np.array([se3.inverse(w.T_wc) @ s.T_wc for s, w in pairs], np.float32)
-        said = self._scratch.take("said", (len(pairs), *depth.shape[1:]), wp.uint8)
-        cast_votes(
-            self._scratch.upload("depth", depth, wp.float32),
-            self._scratch.upload("nearest", nearest, wp.float32),
-            self._scratch.upload("who", who, wp.int32),
-            self._scratch.upload("motions", motions, wp.float32),
-            intrinsics_of(self._camera),
-            stride=_stride(self._camera.height, self._camera.width),
-            tolerance=_TOLERANCE,
-            said=said,
-            device=self._device,
-        )
-        for (subject, _), word in zip(pairs, to_host(said), strict=True):
+        for (subject, _), word in zip(pairs, self.ask(pairs), strict=True):
             subject.through += word == THROUGH
             subject.in_place += word == IN_PLACE
+
+    def _on_device(self, voters: list[_Voter]) -> tuple[Any, Any]:
+        """Return the depth and the nearest depth [k, h, w] of views that are kept, ``voters`` among them."""
+        asked, kept = {id(voter) for voter in voters}, {id(voter) for voter in self._kept}
+        new = [voter for voter in voters if id(voter) not in kept]
+        free = [place for place, voter in enumerate(self._kept) if id(voter) not in asked]
+        if len(new) > len(free):
+            new, free = voters, list(range(len(voters)))
+            self._kept = [*voters, *(None for _ in voters)]
+        shape = len(self._kept), *voters[0].depth.shape
+        depth, nearest = (self._scratch.take(name, shape, wp.float32) for name in ("depth", "nearest"))
+        for place, voter in zip(free, new, strict=False):
+            depth[place].assign(voter.depth)
+            nearest[place].assign(voter.nearest)
+            self._kept[place] = voter
+        return depth, nearest
 
 
 class MovingPixels(Stateful):
@@ -188,6 +211,7 @@ class FreeSpace(Stateful):
         self._ballot = _Ballot(camera, device)
         self._witnesses: list[_Voter] = []
         self._added = 0
+        self._looked: tuple[Float32, _Voter] | None = None  # the depth that was looked at last, as a view
 
     def seen_through(self, depth: Float32, T_wc: Float64) -> Bools:
         """Return the pixels [h, w] that lie in front of what any earlier frame saw there.
@@ -198,13 +222,24 @@ class FreeSpace(Stateful):
             depth: [h, w] metres, 0 = none.
             T_wc: [4, 4] its pose.
         """
-        view = _voter(self._added, depth, T_wc)
-        self._ballot.vote([(view, witness) for witness in self._witnesses])
-        return _whole(view.through > 0, depth.shape)
+        if self._looked is None or self._looked[0] is not depth:
+            self._looked = depth, _voter(self._added, depth, T_wc)
+        view = self._looked[1]
+        view.T_wc = T_wc
+        if not self._witnesses:
+            return np.zeros(depth.shape, bool)
+        said = self._ballot.ask([(view, witness) for witness in self._witnesses])
+        return _whole((said == THROUGH).any(axis=0), depth.shape)
 
     def add(self, depth: Float32, T_wc: Float64) -> None:
         """Let the last frame, ``depth`` [h, w] from ``T_wc`` [4, 4], testify from now on."""
-        self._witnesses.append(_voter(self._added, depth, T_wc))
+        looked, self._looked = self._looked, None
+        if looked is not None and looked[0] is depth:
+            witness = looked[1]
+            witness.T_wc = T_wc
+        else:
+            witness = _voter(self._added, depth, T_wc)
+        self._witnesses.append(witness)
         self._added += 1
         # Of 2^k frames between ages 2^k and 2^(k + 1) one number is a multiple of 2^k.
         ages = [(w, (self._added - w.number).bit_length() - 1) for w in self._witnesses]
@@ -234,9 +269,11 @@ def _whole(moved: Bools, shape: tuple[int, ...]) -> Bools:
     """Return the mask of the pixels that vote [h, w] at full ``shape``, without specks and with a rim."""
     if not moved.any():
         return np.zeros(shape, bool)
-    solid = cv2.morphologyEx(moved.astype(np.uint8), cv2.MORPH_OPEN, _NEIGHBOURS)
+    solid = cv2.morphologyEx(moved.view(np.uint8), cv2.MORPH_OPEN, _NEIGHBOURS)
+    if not solid.any():
+        return np.zeros(shape, bool)
     solid = cv2.dilate(solid, _NEIGHBOURS)
-    return np.asarray(cv2.resize(solid, shape[::-1], interpolation=cv2.INTER_NEAREST), bool)
+    return np.asarray(cv2.resize(solid, shape[::-1], interpolation=cv2.INTER_NEAREST)).view(bool)
 
 
 def without_pixels(frame: Frame, where: Bools) -> Frame:

@@ -212,6 +212,21 @@ def test_free_space_is_kept_over_a_restart_and_follows_a_correction():
     assert np.array_equal(again.seen_through(depth, motion @ frames[3].T_wc), found)
 
 
+def test_views_that_are_kept_on_the_device_are_the_ones_that_were_given():
+    """Each frame takes the place of one that no longer testifies; a fresh object uploads them all."""
+    free = FreeSpace(OFFICE.camera)
+    for i in range(30):
+        frame, depth = OFFICE[i], OFFICE[i].depth.copy()
+        depth[20:60, 60:110] = 0.8
+        fresh = FreeSpace(OFFICE.camera)
+        fresh.restore(free.state(), lambda _: OFFICE[0])
+        found = free.seen_through(depth, frame.T_wc)
+        assert np.array_equal(fresh.seen_through(depth, frame.T_wc), found) and found.any() == (i > 1)
+        # Some frames testify as they were looked at, some without what moves; some are lost.
+        if i % 5:
+            free.add(depth if i % 3 == 0 else frame.depth, frame.T_wc)
+
+
 def test_nothing_known_is_no_free_space():
     free = FreeSpace(OFFICE.camera)
     assert not free.seen_through(OFFICE[0].depth, OFFICE[0].T_wc).any()

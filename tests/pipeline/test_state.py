@@ -75,6 +75,7 @@ SCRATCH = {
     "GicpTracker.information",
     "GicpTracker.predicted",
     "GicpTracker._seen",
+    "FreeSpace._looked",
     # Made of the rest, when it is next asked for.
     "Submaps._balls",
     "Submaps._hidden",

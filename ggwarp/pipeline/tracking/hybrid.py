@@ -105,8 +105,10 @@ class HybridTracker(Stateful):
         """Return the pixels [h, w] that move if the camera is at ``T_wc`` [4, 4]."""
         assert frame.depth is not None, "tracked by depth"
         moved = self._free_space.seen_through(frame.depth, T_wc)
+        if not moved.any():
+            return moved
         readings = np.count_nonzero(frame.depth > 0.0)
-        if np.count_nonzero(moved & (frame.depth > 0.0)) > _MOST_MOVED * readings:
+        if np.count_nonzero(frame.depth[moved] > 0.0) > _MOST_MOVED * readings:
             return np.zeros_like(moved)
         return moved
 
