@@ -110,7 +110,7 @@ class GicpTracker(Stateful):
             return self._lose(frame, predicted, seen, None, self._too_few(seen))
         self._aim(target, seen.spacing)
         found = self._search(frame, seen, predicted)
-        verdict, reason = self._judge(found, seen, predicted)
+        verdict, reason = self._judge(found)
         if verdict is Verdict.LOST:
             return self._lose(frame, predicted, seen, found.distances2, reason)
         self._motion = self._motion.updated(found.fit.T_wc, depth_time(frame))
@@ -134,10 +134,10 @@ class GicpTracker(Stateful):
 
         Sets ``registration`` and ``information``; :meth:`correct` makes the pose the last frame's.
         """
-        assert self._seen is not None and self.predicted is not None
+        assert self._seen is not None
         seen, T_dc = self._seen, self.to_colour(frame)
         found = self._verified(frame, self._fit(seen, T_wc @ se3.inverse(T_dc)))
-        return self._registered(frame, seen, found, *self._judge(found, seen, self.predicted))
+        return self._registered(frame, seen, found, *self._judge(found))
 
     def _registered(
         self, frame: Frame, seen: Observation, found: _RegisteredPose, verdict: Verdict, reason: str
@@ -206,7 +206,7 @@ class GicpTracker(Stateful):
         """Register from the prediction; where that fits badly, from wherever the camera may have been."""
         assert self._motion is not None
         first = self._fit(seen, predicted)
-        if first.overlap >= _SURE_OVERLAP and not self._jump(first, predicted):
+        if first.overlap >= _SURE_OVERLAP and not first.jump:
             return first
         best = self._verified(frame, first)
         if best.certain:
@@ -225,7 +225,9 @@ class GicpTracker(Stateful):
     def _fit(self, seen: Observation, T_start: Float64) -> _RegisteredPose:
         assert self._target is not None
         fit = register_coarse_to_fine(self._registrar, seen.cloud, self._target, T_start, seen.spacing)
-        return _RegisteredPose(fit, self._distances2(seen, fit.T_wc))
+        assert self._motion is not None and self.predicted is not None
+        jump = self._motion.jump(fit.T_wc, self.predicted, _MAX_JUMP, _MAX_TURN)
+        return _RegisteredPose(fit, self._distances2(seen, fit.T_wc), jump)
 
     def _distances2(self, seen: Observation, T_wc: Float64) -> Float32:
         """Return [n] squared distance of each point to the map, m^2; inf where nothing is near.
@@ -238,11 +240,11 @@ class GicpTracker(Stateful):
         distances2 = self._registrar.match_distances2(seen.cloud, self._target, T_wc, radius=farthest)
         return np.where(distances2 <= reach * reach, distances2, np.float32(np.inf))
 
-    def _judge(self, found: _RegisteredPose, seen: Observation, predicted: Float64) -> tuple[Verdict, str]:
+    def _judge(self, found: _RegisteredPose) -> tuple[Verdict, str]:
         """Take note of a registration; return what it is worth, and why."""
         fit, overlap = found.fit, found.overlap
         self.registration, self.information = fit, scaled_information(fit)
-        std, jump_reason = position_std(self.information), self._jump(found, predicted)
+        std = position_std(self.information)
         overlap_reason = f"overlap {overlap:.2f} with the map"
         std_reason = f"position free to slide by {std:.3f} m" if std < _FREE else "position free to slide"
         if overlap < _LOST_OVERLAP:
@@ -259,11 +261,7 @@ class GicpTracker(Stateful):
             return Verdict.POOR, std_reason
         if overlap < _POOR_OVERLAP:
             return Verdict.POOR, overlap_reason
-        return (Verdict.POOR, jump_reason) if jump_reason else (Verdict.CONVERGED, "")
-
-    def _jump(self, found: _RegisteredPose, predicted: Float64) -> str:
-        assert self._motion is not None
-        return self._motion.jump(found.fit.T_wc, predicted, _MAX_JUMP, _MAX_TURN)
+        return (Verdict.POOR, found.jump) if found.jump else (Verdict.CONVERGED, "")
 
     def _lose(
         self, frame: Frame, predicted: Float64, seen: Observation, distances2: Float32 | None, reason: str
@@ -275,10 +273,17 @@ class GicpTracker(Stateful):
 
 @dataclass(frozen=True)
 class _RegisteredPose:
-    """A registration, its points' squared distances [n] to the map, and what remembered views say of it."""
+    """A registration, and how it looks.
+
+    Attributes:
+        distances2: [n] squared distances of its points to the map.
+        jump: how far it is from the predicted pose, where that is farther than is likely.
+        consistency: what remembered views say of it.
+    """
 
     fit: Registration
     distances2: Float32
+    jump: str
     consistency: ViewConsistency | None = None
 
     @property
@@ -315,10 +320,14 @@ def _result(
         T_wd: [4, 4] the pose when depth was taken. T_dc: [4, 4] the motion from then to the colour.
         distances2: [n] of the points to the map, m^2; None: they were not compared.
     """
-    T_cd = se3.inverse(T_dc)
+    points, quats = seen.points, to_host(seen.quats).copy()
+    if (T_dc != np.eye(4)).any():
+        T_cd = se3.inverse(T_dc)
+        points = se3.transform_points(T_cd, points).astype(np.float32)
+        quats = se3.rotate_quats(T_cd[:3, :3], quats).astype(np.float32)
     points = FramePoints(
-        points=se3.transform_points(T_cd, to_host(seen.cloud.points)).astype(np.float32),
-        quats=se3.rotate_quats(T_cd[:3, :3], to_host(seen.quats)).astype(np.float32),
+        points=points,
+        quats=quats,
         spreads=to_host(seen.spreads).copy(),
         noise=seen.noise,
         distances2=np.full(seen.count, np.inf, np.float32) if distances2 is None else distances2,

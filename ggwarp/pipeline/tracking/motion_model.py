@@ -41,7 +41,8 @@ class MotionModel:
 
     def to_colour(self, frame: Frame) -> Float64:
         """Return the motion [4, 4] from the camera of the frame's depth to that of its colour."""
-        return se3.se3_exp(self.velocity * (frame.timestamp - depth_time(frame)))
+        gap = frame.timestamp - depth_time(frame)
+        return se3.se3_exp(self.velocity * gap) if gap else np.eye(4)
 
     def updated(self, T_wc: Float64, time: float) -> MotionModel:
         """Return the motion after a good frame at ``T_wc``."""
