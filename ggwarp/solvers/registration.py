@@ -134,25 +134,12 @@ class Registrar(Stateful):
         """
         self._reserve(cloud.count, len(stages))
         self._arrays.load(cloud, target, T_start, stages)
+        thinnings = tuple(stage.thinning for stage in stages)
         if self._recorded and stages:
-            thinnings = tuple(stage.thinning for stage in stages)
             room = self._room[0]
             self._graphs.run(thinnings, lambda: self._run(thinnings, room), arrays=self._room)
-        else:
-            self._run([stage.thinning for stage in stages], cloud.count)
-        if stages:
-            loop = self._arrays.loop
-            gicp_pairs.fix_across(
-                loop.problem,
-                loop.stages,
-                stage=len(stages) - 1,
-                count=cloud.count,
-                pose=loop.pose,
-                sums=loop.sums,
-                folded=loop.folded,
-                system=self._arrays.across,
-                device=self._device,
-            )
+        elif stages:
+            self._run(thinnings, cloud.count)
         return self._result()
 
     def residual_scale(
@@ -209,10 +196,20 @@ class Registrar(Stateful):
         return to_host(distances2)
 
     def _run(self, thinnings: Sequence[int], count: int) -> None:
+        loop = self._arrays.loop
         for stage, thinning in enumerate(thinnings):
-            gicp_loop.run_stage(
-                self._arrays.loop, stage=stage, count=-(-count // thinning), device=self._device
-            )
+            gicp_loop.run_stage(loop, stage=stage, count=-(-count // thinning), device=self._device)
+        gicp_pairs.fix_across(
+            loop.problem,
+            loop.stages,
+            stage=len(thinnings) - 1,
+            count=count,
+            pose=loop.pose,
+            sums=loop.sums,
+            folded=loop.folded,
+            system=self._arrays.across,
+            device=self._device,
+        )
 
     def _reserve(self, points: int, stages: int) -> None:
         if points <= self._room[0] and stages <= self._room[1]:

@@ -124,7 +124,7 @@ def fix_across(
     Args:
         problem, stages, stage, pose, sums, folded, device: see
             :func:`ggwarp.kernels.registration.gicp.linearise`; all points are used.
-        count: the problem's points.
+        count: at least the problem's points.
         system: [SUMS] float64, written: as H there, the rest 0. Not positive definite where nothing is seen.
     """
     sum_blocks(

@@ -18,12 +18,7 @@ from ggwarp.pipeline.tracking.relocalisation import Relocaliser, ViewConsistency
 from ggwarp.runtime.scratch import ScratchArrays
 from ggwarp.runtime.state import Stateful
 from ggwarp.runtime.streams import to_host
-from ggwarp.solvers.registration import (
-    Registrar,
-    Registration,
-    RegistrationTarget,
-    build_target,
-)
+from ggwarp.solvers.registration import Registrar, Registration, RegistrationTarget, build_target
 from ggwarp.solvers.registration_stages import REACH, cell_size, register_coarse_to_fine, scaled_information
 from ggwarp.types import Float32, Float64, Frame, FramePoints, MapSnapshot, TrackResult, Verdict, overlap_of
 
@@ -273,13 +268,7 @@ class GicpTracker(Stateful):
 
 @dataclass(frozen=True)
 class _RegisteredPose:
-    """A registration, and how it looks.
-
-    Attributes:
-        distances2: [n] squared distances of its points to the map.
-        jump: how far it is from the predicted pose, where that is farther than is likely.
-        consistency: what remembered views say of it.
-    """
+    """A registration, its points' squared distances [n] to the map, how far it jumps, and what views say."""
 
     fit: Registration
     distances2: Float32
