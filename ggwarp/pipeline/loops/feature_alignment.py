@@ -24,8 +24,12 @@ from ggwarp.types import Float64
 DepthNoise = Callable[[Any], Any]
 """Depths, metres -> their standard deviations, metres."""
 
-_HYPOTHESES = 400
-"""With a third of the matches right, three right ones are drawn 15 times in so many."""
+_HYPOTHESES, _RIGHT = 400, 15
+"""So many are drawn at most, and no more where three right matches were drawn so often, as far as the best
+hypothesis tells: with a third of the matches right, that is in all of them."""
+
+_AT_ONCE = 100
+"""Hypotheses that are looked at together."""
 
 _INLIER_SHARE = 0.3
 """Matches that agree are at least so many of all."""
@@ -36,8 +40,11 @@ _INLIER = 3.0
 _PIXEL = 1.5
 """Standard deviation of a feature's place in a picture 480 pixels wide, pixels."""
 
-_STEPS = 6
-"""Gauss-Newton steps."""
+_STEPS, _SETTLED = 6, 0.01
+"""Gauss-Newton steps at most, and the last: one that is smaller, in standard deviations of the motion."""
+
+_NEAR = 0.05
+"""What lies nearer is not seen, metres."""
 
 _CORRELATION = 0.1
 """The share of its matches' information that a motion is given: the depths of one picture err together, and
@@ -90,18 +97,25 @@ class FeatureAligner:
         ]
         if not len(draws):
             return None
-        motions = kabsch(points_a[draws], points_b[draws])
-        moved = points_b @ np.swapaxes(motions[:, :3, :3], 1, 2) + motions[:, None, :3, 3]
-        errors2 = self._errors2(moved, pixels_a, points_a)
-        counts = (errors2 < _INLIER**2).sum(axis=1)
-        T = motions[int(counts.argmax())]
-        inliers = errors2[int(counts.argmax())] < _INLIER**2
+        T, most = np.eye(4), 0
+        for begin in range(0, len(draws), _AT_ONCE):
+            some = draws[begin : begin + _AT_ONCE]
+            motions = kabsch(points_a[some], points_b[some])
+            counts = self._supporters(motions, pixels_a, points_a, points_b)
+            if counts.max() > most:
+                T, most = motions[int(counts.argmax())], int(counts.max())
+            if (begin + len(some)) * (most / m) ** 3 >= _RIGHT:
+                break
+        inliers = self._errors2(se3.transform_points(T, points_b), pixels_a, points_a) < _INLIER**2
         information = np.zeros((6, 6))
         for _ in range(_STEPS):
             if inliers.sum() < 3:
                 return None
-            T, information = self._step(T, pixels_a[inliers], points_a[inliers], points_b[inliers])
+            some = pixels_a[inliers], points_a[inliers], points_b[inliers]
+            T, information, settled = self._step(T, *some)
             inliers = self._errors2(se3.transform_points(T, points_b), pixels_a, points_a) < _INLIER**2
+            if settled:
+                break
         return FeatureAlignment(T, _CORRELATION * information, inliers)
 
     def align_features(
@@ -121,51 +135,67 @@ class FeatureAligner:
             return None
         return found if is_positive(found.information) else None  # features in a line or a spot
 
+    def _supporters(
+        self, motions: Float64, pixels_a: Float64, points_a: Float64, points_b: Float64
+    ) -> NDArray[np.intp]:
+        """Return [k] how many matches agree with each of ``motions`` [k, 4, 4], as by :meth:`_errors2`."""
+        c, rows = self._camera, np.float32
+        turned = motions[:, :3, :3].reshape(-1, 3).astype(rows) @ points_b.T.astype(rows)
+        moved = turned.reshape(len(motions), 3, -1) + motions[:, :3, 3:].astype(rows)
+        z = moved[:, 2]
+        near = z <= _NEAR
+        nearness = 1.0 / np.maximum(z, rows(_NEAR))
+        errors2 = (z - points_a[:, 2].astype(rows)) / self._deviation(points_a).astype(rows)
+        errors2 *= errors2
+        for axis, focal, centre in ((0, c.fx, c.cx), (1, c.fy, c.cy)):
+            error = moved[:, axis]
+            error *= nearness
+            error *= rows(focal / self._pixel)
+            error -= ((pixels_a[:, axis] - centre) / self._pixel).astype(rows)
+            error *= error
+            errors2 += error
+        return ((errors2 < 3.0 * _INLIER**2) & ~near).sum(axis=1)
+
     def _residuals(self, moved: Float64, pixels_a: Float64, points_a: Float64) -> Float64:
-        """Return [..., m, 3] what is left of each match, in standard deviations: u, v, depth."""
+        """Return [3, m] what is left of each match, in standard deviations: u, v, depth."""
         c = self._camera
-        z = np.maximum(moved[..., 2], 0.05)
-        u = c.fx * moved[..., 0] / z + c.cx - pixels_a[:, 0]
-        v = c.fy * moved[..., 1] / z + c.cy - pixels_a[:, 1]
-        w = (moved[..., 2] - points_a[:, 2]) / self._deviation(points_a)
-        return np.stack([u / self._pixel, v / self._pixel, w], axis=-1)
+        z = np.maximum(moved[:, 2], _NEAR)
+        u = c.fx * moved[:, 0] / z + c.cx - pixels_a[:, 0]
+        v = c.fy * moved[:, 1] / z + c.cy - pixels_a[:, 1]
+        w = (moved[:, 2] - points_a[:, 2]) / self._deviation(points_a)
+        return np.stack([u / self._pixel, v / self._pixel, w])
 
     def _deviation(self, points_a: Float64) -> Float64:
         """Return [m] the standard deviation of the difference of two depths, metres."""
         return np.sqrt(2.0) * self._depth_noise(points_a[:, 2])
 
     def _errors2(self, moved: Float64, pixels_a: Float64, points_a: Float64) -> Float64:
-        errors2 = (self._residuals(moved, pixels_a, points_a) ** 2).sum(axis=-1) / 3.0
-        return np.where(moved[..., 2] > 0.05, errors2, np.inf)
+        errors2 = (self._residuals(moved, pixels_a, points_a) ** 2).sum(axis=0) / 3.0
+        return np.where(moved[:, 2] > _NEAR, errors2, np.inf)
 
     def _step(
         self, T: Float64, pixels_a: Float64, points_a: Float64, points_b: Float64
-    ) -> tuple[Float64, Float64]:
-        """One step of Gauss-Newton; return the motion [4, 4] and the information [6, 6] before it."""
+    ) -> tuple[Float64, Float64, bool]:
+        """One step of Gauss-Newton; return the motion [4, 4], the information [6, 6] before it, and whether
+        it was small."""
         c = self._camera
         moved = se3.transform_points(T, points_b)
         residuals = self._residuals(moved, pixels_a, points_a)
-        x, y, z = moved.T
-        z = np.maximum(z, 0.05)
-        zero = np.zeros_like(z)
-        by_moved = np.stack(
-            [
-                np.stack([c.fx / z, zero, -c.fx * x / z**2], axis=1) / self._pixel,
-                np.stack([zero, c.fy / z, -c.fy * y / z**2], axis=1) / self._pixel,
-                np.stack([zero, zero, 1.0 / self._deviation(points_a)], axis=1),
-            ],
-            axis=1,
-        )  # [m, 3, 3]
+        nearness = 1.0 / np.maximum(moved[:, 2:], _NEAR)
+        x, y = moved[:, :1] * nearness, moved[:, 1:2] * nearness
         # moved = R (b + v + w x b) + t for a twist (v, w) in the second camera.
-        hats = np.zeros((len(points_b), 3, 3))
-        bx, by, bz = points_b.T
-        hats[:, 0, 1], hats[:, 0, 2], hats[:, 1, 2] = -bz, by, -bx
-        hats -= hats.transpose(0, 2, 1)
-        J = by_moved @ np.concatenate([np.broadcast_to(T[:3, :3], hats.shape), -T[:3, :3] @ hats], axis=2)
-        weights = 1.0 / (1.0 + (residuals**2).sum(axis=-1) / _INLIER**2) ** 2  # Geman-McClure
-        H = np.einsum("mki,m,mkj->ij", J, weights, J)
-        g = np.einsum("mki,m,mk->i", J, weights, residuals)
-        return T @ se3.se3_exp(-np.linalg.solve(H + 1e-9 * np.trace(H) * np.eye(6), g)), H
+        across, down, along = T[:3, :3]
+        J = np.empty((3, len(points_b), 6))
+        J[0, :, :3] = c.fx / self._pixel * nearness * (across - x * along)
+        J[1, :, :3] = c.fy / self._pixel * nearness * (down - y * along)
+        J[2, :, :3] = along / self._deviation(points_a)[:, None]
+        for axis, after, last in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+            J[:, :, 3 + axis] = points_b[:, after] * J[:, :, last] - points_b[:, last] * J[:, :, after]
+        weights = 1.0 / (1.0 + (residuals**2).sum(axis=0) / _INLIER**2) ** 2  # Geman-McClure
+        J, weighted = J.reshape(-1, 6), (J * weights[:, None]).reshape(-1, 6)
+        H, g = J.T @ weighted, residuals.ravel() @ weighted
+        step = -np.linalg.solve(H + 1e-9 * np.trace(H) * np.eye(6), g)
+        return T @ se3.se3_exp(step), H, bool(_CORRELATION * (step @ H @ step) < _SETTLED**2)
 
 
 def kabsch(a: Float64, b: Float64) -> Float64:

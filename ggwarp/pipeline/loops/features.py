@@ -121,9 +121,13 @@ def match_descriptors(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> NDArr
     if min(len(one), len(other)) < 2:
         return np.zeros((0, 2), np.intp)
     a, b = one.astype(np.float32), other.astype(np.float32)
-    distances2 = (a * a).sum(axis=1)[:, None] + (b * b).sum(axis=1)[None] - 2.0 * (a @ b.T)
-    forth, back = distances2.argmin(axis=1), distances2.argmin(axis=0)
-    two = np.partition(distances2, 1, axis=1)[:, :2]
+    # All sums are of whole numbers below 2^24, which single precision holds exactly.
+    distances2 = a @ (-2.0 * b.T)
+    distances2 += (b * b).sum(axis=1)
+    distances2 += (a * a).sum(axis=1)[:, None]
     rows = np.arange(len(a))
-    good = (back[forth] == rows) & (two[:, 0] < _RATIO**2 * two[:, 1])
+    forth, back = distances2.argmin(axis=1), distances2.argmin(axis=0)
+    best = distances2[rows, forth]
+    distances2[rows, forth] = np.inf
+    good = (back[forth] == rows) & (best < _RATIO**2 * distances2.min(axis=1))
     return np.stack([rows[good], forth[good]], axis=1)
