@@ -147,7 +147,7 @@ class FramePoints:
 
 def overlap_of(distances2: Float32) -> float:
     """Return the share of ``distances2`` [n] that are finite; 0 where there are none."""
-    return np.count_nonzero(np.isfinite(distances2)) / max(len(distances2), 1)
+    return int(np.count_nonzero(np.isfinite(distances2))) / max(len(distances2), 1)
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -250,7 +251,7 @@ def measured_noise(tilts: Float64) -> float:
     """
     tilts = tilts[tilts >= 0.0]
     # The angle between two normals is of Rayleigh's distribution: its median is 1.177 sqrt(2) deviations.
-    return 0.0 if len(tilts) < _MIN_PAIRS else _median(tilts) / (1.177 * np.sqrt(2.0))
+    return 0.0 if len(tilts) < _MIN_PAIRS else _median(tilts) / (1.177 * math.sqrt(2.0))
 
 
 def _median(values: NDArray[Any]) -> float:
