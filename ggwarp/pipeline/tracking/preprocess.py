@@ -166,12 +166,14 @@ def sample_points(
         Camera frame, metres, and (u, v), by rows.
     """
     z = image[stride // 2 :: stride, stride // 2 :: stride]
-    row, column = np.nonzero((z >= near) & (z <= far))
-    z = z[row, column]
+    kept = (z >= near) & (z <= far)
+    row, column = np.nonzero(kept)
+    z = z[kept]
     points, pixels = np.empty((len(z), 3), np.float32), np.empty((len(z), 2), np.int32)
-    pixels[:, 0], pixels[:, 1] = column * stride + stride // 2, row * stride + stride // 2
-    centre, focal = np.array([(camera.cx, camera.cy), (camera.fx, camera.fy)], np.float32)
-    points[:, :2] = (pixels.astype(np.float32) - centre) * z[:, None] / focal
+    for axis, sample, centre, focal in ((0, column, camera.cx, camera.fx), (1, row, camera.cy, camera.fy)):
+        pixel = sample * stride + stride // 2
+        pixels[:, axis] = pixel
+        points[:, axis] = (pixel.astype(np.float32) - np.float32(centre)) * z / np.float32(focal)
     points[:, 2] = z
     return points, pixels
 
