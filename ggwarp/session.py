@@ -198,7 +198,6 @@ class Session:
                 raise
             self._checkpoints.end()
         record.loop_s = time.perf_counter() - self._loop_started
-        record.counts = dict(self._slam.counts)
         if lost := dropped_frames(self._dataset):
             record.plan["dropped"] = lost
         for line in messages.of_speed(lost, record.reports):
@@ -241,6 +240,7 @@ class Session:
         if not self._ended:
             self._saver.judge(self.config.slam.gicp.far if self._dataset.has_depth else None)
             self._saver.attempt("fitting what was out of memory", self._slam.finish)
+        record.counts = dict(self._slam.counts)
         record.correct(self._slam.fitted_poses(), self._slam.keyframe_indices)
 
     def save(self) -> None:

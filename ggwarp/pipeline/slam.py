@@ -27,6 +27,7 @@ from ggwarp.objects.linear_classifier import LinearClassifier
 from ggwarp.pipeline.assembly import make_mapper, make_policy
 from ggwarp.pipeline.earlier_map import MapParts, enter_map, with_views
 from ggwarp.pipeline.estimated_poses import EstimatedPoses
+from ggwarp.pipeline.loops.loop_closer import Closure
 from ggwarp.pipeline.loops.tracking_side import TrackingLoops
 from ggwarp.pipeline.scheduler import Scheduler, SynchronousScheduler, Waiting
 from ggwarp.pipeline.slam_config import SlamConfig
@@ -139,7 +140,7 @@ class Slam:
             waiting: asks whether the next frame waits already, where tracking runs in a thread of its own.
         """
         started = time.perf_counter()
-        self._move(tracked)
+        self._move(tracked.closure, tracked.frame.index)
         tracked = self._insert(tracked)
         iterations = self._fit(tracked, waiting)
         loss = self._synchronise(tracked)
@@ -150,7 +151,7 @@ class Slam:
         """Report a frame that the map will never see: the run ends before its turn."""
         self._unmapped += 1
         with contextlib.suppress(Exception):  # where mapping has failed, what is there stays as it is
-            self._move(tracked)
+            self._move(tracked.closure, tracked.frame.index)
         return self._report(dataclasses.replace(tracked, kind=KeyframeKind.NONE), 0.0, 0, math.nan)
 
     @property
@@ -212,7 +213,10 @@ class Slam:
         self._mapper.synchronise()
 
     def finish(self) -> None:
-        """Fit the map to what was out of memory when its turn came, once there are no more frames."""
+        """Close the last frame's loop and fit the map to what was out of memory, once there are no more."""
+        if (closure := self.loops.finish(lambda: self._tracking_scope)) is not None:
+            self._earlier_poses = closure.correction.moved(self._earlier_poses)
+            self._move(closure, -1)  # it comes with no frame
         self._mapper.catch_up()
 
     def render(self, T_wc: Float64) -> Rendered:
@@ -272,15 +276,15 @@ class Slam:
         self._restart_at = result.T_wc if result.reinitialise else None
         return result
 
-    def _move(self, tracked: TrackedFrame) -> None:
-        """Have the mapper's side follow the loop that a frame closes, once."""
-        if tracked.closure is None or self._moved_by == tracked.frame.index:
+    def _move(self, closure: Closure | None, index: int) -> None:
+        """Have the mapper's side follow the loop that comes with frame ``index``, once."""
+        if closure is None or self._moved_by == index:
             return
-        correction, self._moved_by = tracked.closure.correction, tracked.frame.index
+        self._moved_by = index
         with self.mapping_scope:
-            self._mapper.move(correction)
-        self._poses.move(correction)
-        self.counts["loops_closed"] += tracked.loop is not None
+            self._mapper.move(closure.correction)
+        self._poses.move(closure.correction)
+        self.counts["loops_closed"] += closure.seen_before is not None
 
     def _insert(self, tracked: TrackedFrame) -> TrackedFrame:
         """Give the mapper a keyframe, and what it keeps of any frame; return ``tracked`` as it was mapped."""
@@ -316,8 +320,8 @@ class Slam:
         return loss
 
     def _report(self, tracked: TrackedFrame, seconds: float, iterations: int, loss: float) -> StepReport:
-        spent: dict[str, Any] = {"seconds": seconds, "iterations": iterations, "loss": loss}
-        report = tracked.report(gaussians=self._mapper.submaps.count, **spent)
+        count = self._mapper.submaps.count
+        report = tracked.report(seconds=seconds, iterations=iterations, gaussians=count, loss=loss)
         self.counts["frames_lost"] += tracked.is_lost
         if tracked.is_keyframe:
             self.counts[f"{tracked.kind.value}_keyframes"] += 1

@@ -82,6 +82,8 @@ SCRATCH = {
     "Submaps._store",
     "Submaps._told",
     "GicpTracker._target",
+    "LoopCloser._looked",
+    "_Ballot._kept",
     "ReferenceViews._references",
     "ReferenceViews._points",
     "TrackableMap._snapshot",

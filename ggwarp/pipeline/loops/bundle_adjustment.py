@@ -188,7 +188,7 @@ def _solve(
     parameters.setMaxIterations(_ITERATIONS)
     parameters.setRelativeErrorTol(_TOLERANCE)
     solution = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
-    moved = np.stack([solution.atPose3(number).matrix() for number in range(first)])
+    moved = np.array([solution.atPose3(number).matrix() for number in range(first)], order="C")
     moved[fixed] = poses[fixed]
     found = np.full_like(points, np.nan)
     for point in used.tolist():

@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +21,8 @@ import numpy as np
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from ggwarp.geometry.pose_correction import PoseCorrection
-from ggwarp.pipeline.loops.feature_alignment import DepthNoise, FeatureAligner, FeatureAlignment
-from ggwarp.pipeline.loops.features import FeatureExtractor
+from ggwarp.pipeline.loops.feature_alignment import DepthNoise, FeatureAligner
+from ggwarp.pipeline.loops.features import FeatureExtractor, Features
 from ggwarp.pipeline.loops.place_store import Places
 from ggwarp.pipeline.loops.places import SEPARATE, Place, candidates, far_enough
 from ggwarp.pipeline.loops.pose_graph import MeasuredMotion, optimise_poses
@@ -89,8 +90,21 @@ class Closure:
     seconds: float
 
 
+@state_value
+@dataclass(frozen=True)
+class _Begun:
+    """A frame where a place begins, and how it was tracked; ``doubtful``: one since the last place poorly."""
+
+    frame: Frame
+    result: TrackResult
+    doubtful: bool
+
+
 class LoopCloser(Stateful):
     """Watches tracked frames; says how poses change when a place is seen again.
+
+    What a frame shows is found in a thread, beside the work on the next frame, and with that one its place is
+    taken in, however fast the thread was: results are the same to the bit. A state has the frame itself.
 
     Attributes:
         seconds: spent so far.
@@ -105,6 +119,7 @@ class LoopCloser(Stateful):
         "_searched",
         "_solved",
         "_doubtful",
+        "_begun",
         "_fixed",
         "seconds",
     )
@@ -138,6 +153,9 @@ class LoopCloser(Stateful):
         self._waiting: list[MeasuredMotion] = []
         self._searched = self._solved = self._fixed = 0
         self._doubtful = False
+        self._begun: _Begun | None = None
+        self._worker = ThreadPoolExecutor(1, thread_name_prefix="ggwarp-loops")
+        self._looked: Future[tuple[Place, list[MeasuredMotion]]] | None = None
         self.seconds = 0.0
 
     def adopt(self, places: Sequence[Place]) -> None:
@@ -147,22 +165,59 @@ class LoopCloser(Stateful):
         self._fixed = len(self._places)
 
     def observe(self, frame: Frame, result: TrackResult, scope: Scope = nullcontext) -> Closure | None:
-        """Take in a tracked frame; return the loop that it closes, if it does.
+        """Take in a tracked frame; return the loop that the frame before it closes, if it does.
 
         Poses are then those before the correction: ``correction.at([index])[0] @ T_wc`` are those after.
 
         Args:
             scope: of work on the device.
         """
-        started = time.perf_counter()
-        closure = None
+        closure, started = self.finish(scope), time.perf_counter()
+        if closure is not None:
+            [motion] = closure.correction.at([frame.index])
+            result = replace(result, T_wc=se3.orthonormalised(motion @ result.T_wc))
         self._doubtful |= result.verdict is not Verdict.CONVERGED
         if self._is_due(frame, result):
-            self._add(frame, result, scope)
-            closure = self._close(started)
-            self._doubtful = False
+            self._begun, self._doubtful = _Begun(frame, result, self._doubtful), False
+            self._looked = self._begin_to_look(self._begun)
         self.seconds += time.perf_counter() - started
         return closure
+
+    def finish(self, scope: Scope = nullcontext) -> Closure | None:
+        """Take in the place that the last frame begins, if it does; return the loop that it closes.
+
+        Args:
+            scope: of work on the device.
+        """
+        if self._begun is None:
+            return None
+        started = time.perf_counter()
+        begun, looked = self._begun, self._looked or self._begin_to_look(self._begun)
+        self._begun = self._looked = None
+        self._add(begun, *looked.result(), scope)
+        closure = self._close(started)
+        self.seconds += time.perf_counter() - started
+        return closure
+
+    def _begin_to_look(self, begun: _Begun) -> Future[tuple[Place, list[MeasuredMotion]]]:
+        number = len(self._places)
+        before = [(a, self._places.features(a)) for a in range(max(number - 2, self._fixed), number)]
+        return self._worker.submit(self._look, begun, number, before)
+
+    def _look(
+        self, begun: _Begun, number: int, before: list[tuple[int, Features]]
+    ) -> tuple[Place, list[MeasuredMotion]]:
+        """Return place ``number``, and its motions by features from those ``before``, which have numbers."""
+        frame, result, points = begun.frame, begun.result, begun.result.points
+        assert points is not None
+        features = self._extractor.extract(frame)
+        depth, view = float(np.median(points.points[:, 2])), self._pictures.view(frame)
+        place, motions = Place(frame.index, result.T_wc, depth, features, view, Surface.of(points)), []
+        for a, one in before:
+            found = self._aligner.align_features(one, features, least=_NEIGHBOUR_INLIERS, seed=(a, number))
+            if found is not None:
+                motions.append(_measured(a, number, found.T_ab, found.information))
+        return place, motions
 
     def _take_in(self, place: Place) -> None:
         self._places.add(place)
@@ -175,19 +230,12 @@ class LoopCloser(Stateful):
             return True
         return result.verdict is Verdict.POOR or frame.index - self._places.poses[-1].index >= _LONGEST
 
-    def _add(self, frame: Frame, result: TrackResult, scope: Scope) -> None:
-        assert result.points is not None
-        features = self._extractor.extract(frame)
-        depth = float(np.median(result.points.points[:, 2]))
-        view, surface = self._pictures.view(frame), Surface.of(result.points)
-        self._take_in(Place(frame.index, result.T_wc, depth, features, view, surface))
-        number = len(self._places) - 1
+    def _add(self, begun: _Begun, place: Place, motions: list[MeasuredMotion], scope: Scope) -> None:
+        self._take_in(place)
+        frame, result, number = begun.frame, begun.result, len(self._places) - 1
         if number:
-            self._motions.append(self._tracked(number, result))
-        for a in range(max(number - 2, self._fixed), number):
-            found = self._aligned(a, number, _NEIGHBOUR_INLIERS)
-            if found is not None:
-                self._motions.append(_measured(a, number, found.T_ab, found.information))
+            self._motions.append(self._tracked(number, begun))
+        self._motions += motions
         searched = self._places.poses[self._searched]
         if number and frame.index - searched.index < _SEARCH and not far_enough(searched, result.T_wc):
             return
@@ -199,8 +247,9 @@ class LoopCloser(Stateful):
             agrees = self._displacement(motion) <= self._least_move
             (self._motions if agrees else self._waiting).append(motion)
 
-    def _tracked(self, b: int, result: TrackResult) -> MeasuredMotion:
+    def _tracked(self, b: int, begun: _Begun) -> MeasuredMotion:
         """Return the motion since the last place as it was tracked."""
+        result = begun.result
         T_ab = se3.inverse(self._places.poses[b - 1].T_wc) @ self._places.poses[b].T_wc
         # What nothing is known of is not certain to be there, either: a wall leaves two directions open.
         information = np.eye(6) / _UNKNOWN**2
@@ -211,22 +260,18 @@ class LoopCloser(Stateful):
         size = 0.0 if b == self._fixed else np.linalg.norm(se3.se3_log(T_ab))
         deviation = _LOOSENESS + _TRACKING_SLACK * float(size)
         covariance = covariance + deviation**2 * np.eye(6)
-        return MeasuredMotion(b - 1, b, T_ab, covariance * (_POOR**2 if self._doubtful else 1.0))
+        return MeasuredMotion(b - 1, b, T_ab, covariance * (_POOR**2 if begun.doubtful else 1.0))
 
     def _loop(self, a: int, b: int, scope: Scope) -> MeasuredMotion | None:
         """Return the motion between two places by features; None where surfaces do not agree with it."""
-        found = self._aligned(a, b, _INLIERS)
+        one, other = self._places.features(a), self._places.features(b)
+        found = self._aligner.align_features(one, other, least=_INLIERS, seed=(a, b))
         if found is None:
             return None
         surfaces = self._places.surface(a), self._places.surface(b)
         with scope():
             agree = self._surfaces.agree(*surfaces, found.T_ab, found.information)
         return _measured(a, b, found.T_ab, found.information) if agree else None
-
-    def _aligned(self, a: int, b: int, least: int) -> FeatureAlignment | None:
-        """Return the motion between two places by their features; None where too few agree."""
-        one, other = self._places.features(a), self._places.features(b)
-        return self._aligner.align_features(one, other, least=least, seed=(a, b))
 
     def _looks_true(self, motion: MeasuredMotion) -> bool:
         """Whether the two views, so placed, neither see through each other nor look different."""

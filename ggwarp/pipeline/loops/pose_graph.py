@@ -90,4 +90,5 @@ def optimise_poses(poses: Float64, motions: Sequence[MeasuredMotion], *, fixed: 
     parameters.setMaxIterations(_ITERATIONS)
     parameters.setRelativeErrorTol(_TOLERANCE)
     solution = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
-    return np.stack([solution.atPose3(number).matrix() for number in range(len(poses))])
+    # GTSAM's matrices lie by columns, a restored state's by rows: products would differ in their last bits.
+    return np.array([solution.atPose3(number).matrix() for number in range(len(poses))], order="C")

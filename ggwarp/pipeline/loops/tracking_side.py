@@ -4,12 +4,11 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Sequence
 
 from ggwarp.geometry import sim3
 from ggwarp.geometry.camera import Camera
-from ggwarp.pipeline.loops.loop_closer import Closure, LoopCloser
+from ggwarp.pipeline.loops.loop_closer import Closure, LoopCloser, Scope
 from ggwarp.pipeline.loops.monocular_loops import MonocularLoops
 from ggwarp.pipeline.loops.places import Place
 from ggwarp.pipeline.loops.pose_graph import solver_is_there
@@ -20,7 +19,7 @@ from ggwarp.pipeline.tracking.point_map import TrackableMap
 from ggwarp.pipeline.tracking.tracker import FollowsMap, Tracker, TrackingConfig
 from ggwarp.runtime.image_store import ImageStore
 from ggwarp.runtime.state import Stateful
-from ggwarp.types import Frame, TrackResult
+from ggwarp.types import Float64, Frame, TrackResult
 
 
 class TrackingLoops(Stateful):
@@ -76,7 +75,7 @@ class TrackingLoops(Stateful):
         self,
         frame: Frame,
         result: TrackResult,
-        scope: Callable[[], AbstractContextManager[object]],
+        scope: Scope,
         *,
         is_keyframe: bool,
     ) -> tuple[TrackResult, Closure | None, float]:
@@ -91,16 +90,28 @@ class TrackingLoops(Stateful):
             before = self._closer.seconds
             closure = self._closer.observe(frame, result, scope)
         if closure is not None:
-            [motion] = closure.correction.at([frame.index])
-            assert isinstance(self._tracker, FollowsMap)
-            with scope():
-                self._points.move(closure.correction)
-                self._tracker.on_map_moved(closure.correction, frame.index)
-            self._policy.on_map_moved(motion)
+            motion = self._follow(closure, frame.index, scope)
             result = dataclasses.replace(result, T_wc=sim3.moved_pose(motion, result.T_wc))
         std = self._uncertainty.position_std(frame.index, result, is_keyframe=is_keyframe, closure=closure)
         seconds = 0.0 if self._closer is None else self._closer.seconds - before
         return dataclasses.replace(result, position_std=std), closure, seconds
+
+    def finish(self, scope: Scope) -> Closure | None:
+        """Return the loop that the last frame closes, if it does, where no frame will follow."""
+        closure = self._closer.finish(scope) if isinstance(self._closer, LoopCloser) else None
+        if closure is not None:
+            self._follow(closure, closure.frame, scope)
+        return closure
+
+    def _follow(self, closure: Closure, index: int, scope: Scope) -> Float64:
+        """Move what tracking rests on; return the motion [4, 4] of the world at ``index``, the last frame."""
+        [motion] = closure.correction.at([index])
+        assert isinstance(self._tracker, FollowsMap)
+        with scope():
+            self._points.move(closure.correction)
+            self._tracker.on_map_moved(closure.correction, index)
+        self._policy.on_map_moved(motion)
+        return motion
 
 
 def _why_not(tracker: Tracker, wanted: bool) -> str:

@@ -56,15 +56,17 @@ def walk(frames, drift, closer=None, order=WALK):
         if step:
             T = T @ se3.inverse(frames[order[step - 1]].T_wc) @ frames[i].T_wc @ drift
         frame = dataclasses.replace(frames[i], index=step, T_wc=None)
-        closure = closer.observe(frame, tracked(T, frame))
+        found = [closer.observe(frame, tracked(T, frame))]
         estimated.append(T)
         true.append(frames[i].T_wc)
-        if closure is not None:
-            closures.append(closure)
-            estimated = [
-                M @ E for M, E in zip(closure.correction.at(range(step + 1)), estimated, strict=True)
-            ]
-            T = estimated[-1]
+        if step == len(order) - 1:
+            found.append(closer.finish())
+        for closure in found:
+            if closure is not None:
+                closures.append(closure)
+                motions = closure.correction.at(range(step + 1))
+                estimated = [M @ E for M, E in zip(motions, estimated, strict=True)]
+                T = estimated[-1]
     return closures, np.stack(true), np.stack(estimated)
 
 
@@ -103,6 +105,7 @@ def test_tracking_before_a_wall_says_nothing_along_it(frames, information):
         frame = dataclasses.replace(frames[i], index=step, T_wc=None)
         result = tracked(frames[i].T_wc, frame, information=information)
         assert closer.observe(frame, result) is None
+    assert closer.finish() is None
 
 
 def test_without_drift_nothing_is_moved(frames):
@@ -129,6 +132,7 @@ def test_one_picture_out_of_place_moves_nothing(frames):
     strange = dataclasses.replace(frames[5], index=len(outward), T_wc=None)
     T = estimated[-1] @ se3.se3_exp([2.0, 0, 0, 0, 1.0, 0])
     assert closer.observe(strange, tracked(T, strange)) is None
+    assert closer.finish() is None and len(closer._places) == len(outward) + 1
 
 
 @pytest.mark.parametrize(
@@ -139,6 +143,7 @@ def test_a_frame_that_can_slide_is_a_place_all_the_same(frames, information):
     for step, i in enumerate(WALK[:3]):
         result = tracked(frames[i].T_wc, frames[i], information=information)
         assert closer.observe(dataclasses.replace(frames[i], index=step, T_wc=None), result) is None
+    assert closer.finish() is None and len(closer._places) == 3
 
 
 def test_views_of_an_earlier_map_take_the_drift_away_and_stay(frames):
@@ -188,3 +193,44 @@ def test_loops_are_closed_to_places_in_a_file(frames, tmp_path, monkeypatch):
             one, other = (vars(getattr(c._places, shown)(number)) for c in (closer, again))
             for name, values in one.items():
                 np.testing.assert_array_equal(values, other[name], err_msg=name)
+
+
+def test_a_place_that_has_begun_is_part_of_a_state(frames, monkeypatch):
+    """Whether the thread was done or not: after any frame another object goes on with the same bits."""
+    expected, _, poses = walk(frames, DRIFT)
+    begun = 0
+
+    class Restarted:
+        """A loop closer that is saved and restored after every frame, its thread left behind."""
+
+        def __init__(self):
+            self.closer, self.taken = made(), {}
+
+        def observe(self, frame, result):
+            nonlocal begun
+            self.taken[frame.index] = frame
+            closure = self.closer.observe(frame, result)
+            again = made()
+            again.restore(self.closer.state(), self.taken.__getitem__)
+            begun += again._begun is not None
+            self.closer = again
+            return closure
+
+        def finish(self):
+            return self.closer.finish()
+
+    found, _, restarted = walk(frames, DRIFT, Restarted())
+    assert begun > len(WALK) // 2
+    assert [c.correction.indices for c in found] == [c.correction.indices for c in expected]
+    np.testing.assert_array_equal(poses, restarted)
+
+
+def test_what_fails_in_the_thread_is_said_with_the_next_frame(frames, monkeypatch):
+    def extract(self, frame):
+        raise RuntimeError("no features today")
+
+    monkeypatch.setattr(FeatureExtractor, "extract", extract)
+    closer, frame = made(), frames[0]
+    assert closer.observe(frame, tracked(frame.T_wc, frame)) is None
+    with pytest.raises(RuntimeError, match="no features today"):
+        closer.observe(frames[5], tracked(frames[5].T_wc, frames[5]))
