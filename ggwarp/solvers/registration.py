@@ -7,7 +7,7 @@ Works on Warp arrays; :func:`ggwarp.ops.gicp` is the same for torch tensors.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -123,7 +123,13 @@ class Registrar(Stateful):
             self._allocate(points, stages)
 
     def register(
-        self, cloud: Cloud, target: RegistrationTarget, T_start: Float64, stages: list[RegistrationStage]
+        self,
+        cloud: Cloud,
+        target: RegistrationTarget,
+        T_start: Float64,
+        stages: list[RegistrationStage],
+        *,
+        residual_radius: float | None = None,
     ) -> Registration:
         """Find the pose that lays ``cloud`` on ``target``.
 
@@ -131,6 +137,7 @@ class Registrar(Stateful):
             cloud: points and covariances, camera frame.
             T_start: [4, 4] camera-to-world, where to start.
             stages: coarse to fine.
+            residual_radius: measure :meth:`residual_scale` at the pose found, too, with this radius.
         """
         self._reserve(cloud.count, len(stages))
         self._arrays.load(cloud, target, T_start, stages)
@@ -140,7 +147,10 @@ class Registrar(Stateful):
             self._graphs.run(thinnings, lambda: self._run(thinnings, room), arrays=self._room)
         elif stages:
             self._run(thinnings, cloud.count)
-        return self._result()
+        if residual_radius is not None:
+            self._pair_residuals(cloud.count, residual_radius)
+        found = self._result()
+        return found if residual_radius is None else replace(found, residual_scale=self._scale(cloud.count))
 
     def residual_scale(
         self, cloud: Cloud, target: RegistrationTarget, T_wc: Float64, *, radius: float
@@ -156,19 +166,25 @@ class Registrar(Stateful):
         """
         self._reserve(cloud.count, 0)
         self._arrays.load(cloud, target, T_wc, [])
+        self._pair_residuals(cloud.count, radius)
+        return self._scale(cloud.count)
+
+    def _pair_residuals(self, count: int, radius: float) -> None:
         gicp_pairs.pair_residuals(
             self._arrays.loop.problem,
             self._arrays.loop.pose,
-            count=cloud.count,
+            count=count,
             radius=radius,
             residuals2=self._arrays.per_point,
             device=self._device,
         )
-        if not cloud.count:
+
+    def _scale(self, count: int) -> float:
+        if not count:
             return float("inf")
         # Of an even number the higher one: the mean with an inf would be one.
-        found = np.partition(to_host(self._arrays.per_point[: cloud.count]), cloud.count // 2)
-        return float(np.sqrt(found[cloud.count // 2] / _MEDIAN_CHI2))
+        found = np.partition(to_host(self._arrays.per_point[:count]), count // 2)
+        return float(np.sqrt(found[count // 2] / _MEDIAN_CHI2))
 
     def match_distances2(
         self, cloud: Cloud, target: RegistrationTarget, T_wc: Float64, *, radius: float

@@ -51,8 +51,9 @@ def register_coarse_to_fine(
     """
     fine = max(RADII[-1], REACH * spacing)
     scale = registrar.residual_scale(cloud, target, T_start, radius=fine)
-    found = registrar.register(cloud, target, T_start, coarse_to_fine_stages(spacing, scale))
-    scale = registrar.residual_scale(cloud, target, found.T_wc, radius=fine)
+    stages = coarse_to_fine_stages(spacing, scale)
+    found = registrar.register(cloud, target, T_start, stages, residual_radius=fine)
+    scale = found.residual_scale
     found = registrar.register(cloud, target, found.T_wc, coarse_to_fine_stages(spacing, scale)[-1:])
     return replace(found, residual_scale=scale)
 

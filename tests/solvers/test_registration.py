@@ -53,6 +53,8 @@ def test_residuals_are_as_large_as_half_the_points_say(rng, device):
     target, registrar = walls_target(rng, 4000, device), Registrar(device=device)
     seen = walls_cloud(rng, 2000, np.eye(4), device)
     still = registrar.residual_scale(seen, target, np.eye(4), radius=0.08)
+    found = registrar.register(seen, target, np.eye(4), STAGES, residual_radius=0.08)
+    assert found.residual_scale == registrar.residual_scale(seen, target, found.T_wc, radius=0.08)
     off = registrar.residual_scale(seen, target, se3.se3_exp([0.02, 0.02, 0.02, 0, 0, 0]), radius=0.08)
     assert still < 0.3 * off
     # Two of five points move, and nothing is seen of it.
