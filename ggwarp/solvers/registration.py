@@ -129,6 +129,7 @@ class Registrar(Stateful):
         T_start: Float64,
         stages: list[RegistrationStage],
         *,
+        across: bool = True,
         residual_radius: float | None = None,
     ) -> Registration:
         """Find the pose that lays ``cloud`` on ``target``.
@@ -137,16 +138,17 @@ class Registrar(Stateful):
             cloud: points and covariances, camera frame.
             T_start: [4, 4] camera-to-world, where to start.
             stages: coarse to fine.
+            across: say what surfaces fix across themselves; else that is 0.
             residual_radius: measure :meth:`residual_scale` at the pose found, too, with this radius.
         """
         self._reserve(cloud.count, len(stages))
         self._arrays.load(cloud, target, T_start, stages)
         thinnings = tuple(stage.thinning for stage in stages)
         if self._recorded and stages:
-            room = self._room[0]
-            self._graphs.run(thinnings, lambda: self._run(thinnings, room), arrays=self._room)
+            room, variant = self._room[0], (thinnings, across)
+            self._graphs.run(variant, lambda: self._run(thinnings, room, across), arrays=self._room)
         elif stages:
-            self._run(thinnings, cloud.count)
+            self._run(thinnings, cloud.count, across)
         if residual_radius is not None:
             self._pair_residuals(cloud.count, residual_radius)
         found = self._result()
@@ -211,10 +213,12 @@ class Registrar(Stateful):
         )
         return to_host(distances2)
 
-    def _run(self, thinnings: Sequence[int], count: int) -> None:
+    def _run(self, thinnings: Sequence[int], count: int, across: bool) -> None:
         loop = self._arrays.loop
         for stage, thinning in enumerate(thinnings):
             gicp_loop.run_stage(loop, stage=stage, count=-(-count // thinning), device=self._device)
+        if not across:
+            return
         gicp_pairs.fix_across(
             loop.problem,
             loop.stages,

@@ -52,7 +52,7 @@ def register_coarse_to_fine(
     fine = max(RADII[-1], REACH * spacing)
     scale = registrar.residual_scale(cloud, target, T_start, radius=fine)
     stages = coarse_to_fine_stages(spacing, scale)
-    found = registrar.register(cloud, target, T_start, stages, residual_radius=fine)
+    found = registrar.register(cloud, target, T_start, stages, across=False, residual_radius=fine)
     scale = found.residual_scale
     found = registrar.register(cloud, target, found.T_wc, coarse_to_fine_stages(spacing, scale)[-1:])
     return replace(found, residual_scale=scale)

@@ -55,6 +55,9 @@ def test_residuals_are_as_large_as_half_the_points_say(rng, device):
     still = registrar.residual_scale(seen, target, np.eye(4), radius=0.08)
     found = registrar.register(seen, target, np.eye(4), STAGES, residual_radius=0.08)
     assert found.residual_scale == registrar.residual_scale(seen, target, found.T_wc, radius=0.08)
+    short = registrar.register(seen, target, np.eye(4), STAGES, across=False)
+    np.testing.assert_array_equal(short.T_wc, found.T_wc)
+    assert found.across.any() and not short.across.any()
     off = registrar.residual_scale(seen, target, se3.se3_exp([0.02, 0.02, 0.02, 0, 0, 0]), radius=0.08)
     assert still < 0.3 * off
     # Two of five points move, and nothing is seen of it.
