@@ -93,16 +93,18 @@ class LabelHistory(Stateful):
         surface, known, given = mask.surface, mask.knowledge.known, mask.labels
         pixels = np.flatnonzero((known >= 0) & (given >= 0) & (surface.depth > 0.0))
         objects, labels = known.ravel()[pixels], given.ravel()[pixels]
+        table = contingency(objects, labels, max(objects.max(initial=0), labels.max(initial=0)) + 1)
+        sizes, usual = table.sum(axis=1), table.argmax(axis=1)
+        differs = (usual != np.arange(len(table))) & (table.max(axis=1) > _MAJORITY * sizes)
+        doubtful = np.flatnonzero(differs & (sizes >= _LEAST_PIXELS)).tolist()
+        if not anew and not doubtful:
+            return []
         places = _places(surface.places.take(pixels, axis=1), objects, labels)
         if anew:
             self._views.update(places.labelled)
-        table = contingency(objects, labels, max(objects.max(initial=0), labels.max(initial=0)) + 1)
-        sizes = table.sum(axis=1)
         wrong: list[tuple[int, int]] = []
-        for m in np.nonzero(sizes >= _LEAST_PIXELS)[0].tolist():
-            label = int(table[m].argmax())
-            if label == m or table[m, label] <= _MAJORITY * sizes[m]:
-                continue
+        for m in doubtful:
+            label = int(usual[m])
             own, other = (self._mean_views(places, m, name) for name in (m, label))
             # Its own name came at least once: with the keyframe that made it.
             if own >= _ESTABLISHED or other <= max(own, 1.0):

@@ -34,12 +34,8 @@ def clipped_share(frame: Frame, rendered: Rendered) -> float:
         frame: at the map's image size, with depth.
         rendered: the map's view from its pose.
     """
-    if (explained := _explained(frame, rendered)) is None:
-        return 0.0
-    seen, known = explained
-    white = ((seen >= _BRIGHT) & (known < _BRIGHT - _APART)).any(axis=0)
-    black = ((seen <= _DARK) & (known > _DARK + _APART)).all(axis=0)
-    return float(np.mean(white | black))
+    explained = _explained(frame, rendered)
+    return 0.0 if explained is None else _clipped(*explained)
 
 
 def different_share(frame: Frame, rendered: Rendered) -> float:
@@ -51,16 +47,8 @@ def different_share(frame: Frame, rendered: Rendered) -> float:
     Args:
         frame, rendered: as of :func:`clipped_share`.
     """
-    if (explained := _explained(frame, rendered)) is None:
-        return 0.0
-    seen, known = explained
-    middle, known_middle = (np.median(values, axis=1, keepdims=True) for values in (seen, known))
-    spread, known_spread = (
-        np.median(np.abs(values - centre), axis=1, keepdims=True)
-        for values, centre in ((seen, middle), (known, known_middle))
-    )
-    exposed = (known - known_middle) * (spread / np.maximum(known_spread, 1e-3)) + middle
-    return min(_share_apart(seen, known), _share_apart(seen, exposed))
+    explained = _explained(frame, rendered)
+    return 0.0 if explained is None else _different(*explained)
 
 
 def unusable(frame: Frame, rendered: Rendered) -> str:
@@ -70,12 +58,32 @@ def unusable(frame: Frame, rendered: Rendered) -> str:
         frame: with depth; some of its pixels are enough.
         rendered: the map's view from its pose, at the same pixels.
     """
-    share, said = clipped_share(frame, rendered), "is clipped"
-    if share <= _BREAKDOWN and (explained := _explained(frame, rendered)) is not None:
+    if (explained := _explained(frame, rendered)) is None:
+        return ""
+    share, said = _clipped(*explained), "is clipped"
+    if share <= _BREAKDOWN:
         # Nearly always few pixels differ, whatever the exposure, and it need not be found.
         share, said = _share_apart(*explained), "has other colours"
-        share = different_share(frame, rendered) if share > _BREAKDOWN else share
+        share = _different(*explained) if share > _BREAKDOWN else share
     return f"{100.0 * share:.0f} % of what the map knows of it {said}" if share > _BREAKDOWN else ""
+
+
+def _clipped(seen: Float32, known: Float32) -> float:
+    """Return the share of pixels, colours [3, n] each, that are clipped in the picture and not in the map."""
+    white = ((seen >= _BRIGHT) & (known < _BRIGHT - _APART)).any(axis=0)
+    black = ((seen <= _DARK) & (known > _DARK + _APART)).all(axis=0)
+    return float(np.mean(white | black))
+
+
+def _different(seen: Float32, known: Float32) -> float:
+    """Return the share of pixels, colours [3, n] each, that differ at the best exposure, or at none."""
+    middle, known_middle = (np.median(values, axis=1, keepdims=True) for values in (seen, known))
+    spread, known_spread = (
+        np.median(np.abs(values - centre), axis=1, keepdims=True)
+        for values, centre in ((seen, middle), (known, known_middle))
+    )
+    exposed = (known - known_middle) * (spread / np.maximum(known_spread, 1e-3)) + middle
+    return min(_share_apart(seen, known), _share_apart(seen, exposed))
 
 
 def _explained(frame: Frame, rendered: Rendered) -> tuple[Float32, Float32] | None:
