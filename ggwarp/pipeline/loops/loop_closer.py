@@ -154,7 +154,6 @@ class LoopCloser(Stateful):
         self._searched = self._solved = self._fixed = 0
         self._doubtful = False
         self._begun: _Begun | None = None
-        self._worker = ThreadPoolExecutor(1, thread_name_prefix="ggwarp-loops")
         self._looked: Future[tuple[Place, list[MeasuredMotion]]] | None = None
         self.seconds = 0.0
 
@@ -202,7 +201,10 @@ class LoopCloser(Stateful):
     def _begin_to_look(self, begun: _Begun) -> Future[tuple[Place, list[MeasuredMotion]]]:
         number = len(self._places)
         before = [(a, self._places.features(a)) for a in range(max(number - 2, self._fixed), number)]
-        return self._worker.submit(self._look, begun, number, before)
+        worker = ThreadPoolExecutor(1, thread_name_prefix="ggwarp-loops")
+        looked = worker.submit(self._look, begun, number, before)
+        worker.shutdown(wait=False)  # its thread ends with this place: no run leaves one behind
+        return looked
 
     def _look(
         self, begun: _Begun, number: int, before: list[tuple[int, Features]]

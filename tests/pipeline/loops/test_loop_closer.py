@@ -3,6 +3,7 @@
 
 import dataclasses
 import itertools
+import threading
 
 import numpy as np
 import pytest
@@ -234,3 +235,13 @@ def test_what_fails_in_the_thread_is_said_with_the_next_frame(frames, monkeypatc
     assert closer.observe(frame, tracked(frame.T_wc, frame)) is None
     with pytest.raises(RuntimeError, match="no features today"):
         closer.observe(frames[5], tracked(frames[5].T_wc, frames[5]))
+
+
+def test_no_thread_outlives_the_place_it_looks_for(frames):
+    closer, frame = made(), frames[0]
+    closer.observe(frame, tracked(frame.T_wc, frame))
+    for thread in threading.enumerate():
+        if thread.name.startswith("ggwarp-loops"):
+            thread.join(timeout=30.0)
+            assert not thread.is_alive()
+    closer.finish()
