@@ -3,26 +3,18 @@
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import warp as wp
 
 from ggwarp.kernels.registration import gicp, gicp_loop
-from ggwarp.runtime.streams import to_host
+from ggwarp.runtime.packed_arrays import PackedArrays, as_rows, numpy_type
 from ggwarp.types import Float64
 
-_POSE = 16
-"""Numbers of a pose."""
-
-_ALIGNMENT = 16
-"""Bytes."""
-
 _STAGE: Any = gicp.StageSettings
-_STAGE_ROW: Any = np.dtype(_STAGE.numpy_dtype())
+_STAGE_FIELDS = numpy_type(_STAGE).names or ()
 
 
 @dataclass(frozen=True)
@@ -96,36 +88,32 @@ class RegistrationArrays:
         self._problem = problem_type()
         self._cloud: Cloud | None = None
         self._target: RegistrationTarget | None = None
-        stages_at = _aligned(ctypes.sizeof(self._problem.__ctype__()))
-        numbers_at = stages_at + _aligned(stages * _STAGE_ROW.itemsize)
-        count = _POSE + gicp.SUMS + gicp_loop.PROGRESS + gicp.SUMS
-        # The host's image of the device's bytes, and parts of both.
-        self._host = np.zeros(numbers_at + 8 * count, np.uint8)
-        byte: Any = wp.uint8
-        self._image: Any = wp.array(self._host, dtype=byte, device="cpu", copy=False)
-        self._bytes: Any = wp.zeros(len(self._host), dtype=byte, device=device)
-        self._stages = np.ndarray(stages, _STAGE_ROW, self._host, stages_at)
-        self._start = np.ndarray((4, 4), np.float64, self._host, numbers_at)
-
-        def part(at: int, shape: Any, dtype: Any) -> Any:
-            array = wp.array(ptr=self._bytes.ptr + at, dtype=dtype, shape=shape, device=device)
-            array._ref = self._bytes
-            return array
+        number: Any = wp.float64
+        self._packed = PackedArrays(
+            {
+                "problem": (gicp.Problem, 1),
+                "stages": (_STAGE, stages),
+                "pose": (wp.mat44d, 1),
+                "system": (number, gicp.SUMS),
+                "progress": (number, gicp_loop.PROGRESS),
+                "across": (number, gicp.SUMS),
+            },
+            device,
+        )
 
         def empty(shape: Any, dtype: Any) -> Any:
             return wp.empty(shape, dtype=dtype, device=device)
 
-        number: Any = wp.float64
-        self._numbers = part(numbers_at, count, number)
-        self.across = self._numbers[-gicp.SUMS :]
+        packed = self._packed.device
+        self.across = packed["across"]
         self.matches, self.per_point = (empty(points, dtype) for dtype in (int, float))
         rows = gicp.block_count(points, device)
         self.loop = gicp_loop.LoopArrays(
-            problem=part(0, 1, gicp.Problem),
-            stages=part(stages_at, stages, _STAGE),
-            pose=part(numbers_at, 1, wp.mat44d),
-            system=self._numbers[_POSE : _POSE + gicp.SUMS],
-            progress=self._numbers[_POSE + gicp.SUMS : -gicp.SUMS],
+            problem=packed["problem"],
+            stages=packed["stages"],
+            pose=packed["pose"],
+            system=packed["system"],
+            progress=packed["progress"],
             state=empty(gicp_loop.STATES, wp.int32),
             sums=empty((rows, gicp.SUMS), number),
             folded=empty((gicp.FOLDED, gicp.SUMS), number),
@@ -135,24 +123,19 @@ class RegistrationArrays:
         self, cloud: Cloud, target: RegistrationTarget, T_wc: Float64, stages: Sequence[RegistrationStage]
     ) -> None:
         """Say what is registered, from ``T_wc`` [4, 4] on; all sums are 0 then."""
+        host = self._packed.host
         if cloud is not self._cloud or target is not self._target:
             self._cloud, self._target = cloud, target
             problem = self._problem
             problem.points, problem.covariances = cloud.points, cloud.covariances
             problem.grid, problem.grid_covariances = target.grid, target.covariances
-            packed = problem.__ctype__()
-            self._host[: ctypes.sizeof(packed)] = np.frombuffer(packed, np.uint8)
+            host["problem"][:] = as_rows(gicp.Problem, [problem])
         for row, stage in enumerate(stages):
-            self._stages[row] = tuple(getattr(stage, name) for name in _STAGE_ROW.names)
-        self._start[:] = T_wc
-        wp.copy(self._bytes, self._image)
+            host["stages"][row] = tuple(getattr(stage, name) for name in _STAGE_FIELDS)
+        host["pose"][0] = T_wc
+        self._packed.upload()
 
     def read(self) -> tuple[Float64, Float64, Float64, Float64]:
         """Return the pose [4, 4], the last system [SUMS], the progress [PROGRESS] and ``across`` [SUMS]."""
-        numbers: Float64 = np.array(to_host(self._numbers), np.float64)
-        system, across = numbers[_POSE : _POSE + gicp.SUMS], numbers[-gicp.SUMS :]
-        return numbers[:_POSE].reshape(4, 4), system, numbers[_POSE + gicp.SUMS : -gicp.SUMS], across
-
-
-def _aligned(size: int) -> int:
-    return -(-size // _ALIGNMENT) * _ALIGNMENT
+        found = self._packed.read()
+        return found["pose"][0], found["system"], found["progress"], found["across"]
