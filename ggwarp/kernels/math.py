@@ -57,6 +57,36 @@ mat66d = wp.types.matrix((6, 6), wp.float64)
 
 
 @wp.func
+def solve_positive(H: mat66d, g: vec6d) -> vec6d:
+    """Solve H x = g by Cholesky; zero where the matrix is not positive definite."""
+    L = mat66d()
+    for r in range(6):
+        for c in range(r + 1):
+            s = H[r, c]
+            for k in range(c):
+                s -= L[r, k] * L[c, k]
+            if r == c:
+                if not (s > wp.float64(0.0)):
+                    return vec6d()
+                L[r, r] = wp.sqrt(s)
+            else:
+                L[r, c] = s / L[c, c]
+    x = vec6d()
+    for r in range(6):
+        s = g[r]
+        for k in range(r):
+            s -= L[r, k] * x[k]
+        x[r] = s / L[r, r]
+    for b in range(6):
+        r = 5 - b
+        s = x[r]
+        for k in range(r + 1, 6):
+            s -= L[k, r] * x[k]
+        x[r] = s / L[r, r]
+    return x
+
+
+@wp.func
 def covariance_of(q: wp.vec4, s: wp.vec3) -> wp.mat33:
     """R diag(s^2) R^T of a *unit* quaternion, w first, and standard deviations."""
     A = quat_to_matrix(q) @ wp.diag(s)

@@ -33,6 +33,15 @@ def matrix_to_double(A: wp.mat33) -> wp.mat33d:
 
 
 @wp.func
+def single_matrix(A: wp.mat33d) -> wp.mat33:
+    return wp.mat33(
+        float(A[0, 0]), float(A[0, 1]), float(A[0, 2]),
+        float(A[1, 0]), float(A[1, 1]), float(A[1, 2]),
+        float(A[2, 0]), float(A[2, 1]), float(A[2, 2]),
+    )  # fmt: skip
+
+
+@wp.func
 def se3_exp(xi: vec6d) -> wp.mat44d:
     """Rigid motion of a twist (translation, rotation)."""
     v = wp.vec3d(xi[0], xi[1], xi[2])
@@ -60,6 +69,29 @@ def se3_exp(xi: vec6d) -> wp.mat44d:
         R[2, 0], R[2, 1], R[2, 2], t[2],
         zero, zero, zero, one,
     )  # fmt: skip
+
+
+@wp.func
+def se3_log(T: wp.mat44d) -> vec6d:
+    """Twist (translation, rotation) of a rigid motion that turns by less than a half turn."""
+    one = wp.float64(1.0)
+    half = wp.float64(0.5)
+    # sin(theta) times the axis, and cos(theta).
+    s = half * wp.vec3d(T[2, 1] - T[1, 2], T[0, 2] - T[2, 0], T[1, 0] - T[0, 1])
+    sine = wp.length(s)
+    cosine = half * (T[0, 0] + T[1, 1] + T[2, 2] - one)
+    theta = wp.atan2(sine, cosine)
+    theta2 = theta * theta
+    scale = one + theta2 / wp.float64(6.0)
+    c = one / wp.float64(12.0) + theta2 / wp.float64(720.0)
+    if theta2 > wp.float64(1.0e-8):
+        scale = theta / sine
+        c = (one - half * theta / wp.tan(half * theta)) / theta2
+    w = scale * s
+    t = translation_d(T)
+    wt = wp.cross(w, t)
+    v = t - half * wt + c * wp.cross(w, wt)
+    return vec6d(v[0], v[1], v[2], w[0], w[1], w[2])
 
 
 @wp.func

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,14 +19,14 @@ from numpy.typing import NDArray
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from ggwarp.kernels.camera import intrinsics_of
-from ggwarp.kernels.photometric import alignment, image_pyramid
-from ggwarp.runtime.streams import to_host
+from ggwarp.kernels.photometric import alignment, alignment_loop, image_pyramid
+from ggwarp.runtime.graphs import GraphCache
+from ggwarp.solvers.alignment_arrays import AlignmentLoopArrays, Comparison, Reference, unpacked, view_rows
 from ggwarp.solvers.pose_equations import (
-    POSE,
+    EXPOSURE_PRECISION,
+    INDEPENDENCE,
     Prior,
     System,
-    gauss_newton_step,
-    joint_equations,
     pose_information,
 )
 from ggwarp.types import Float32, Float64
@@ -60,19 +60,6 @@ _EDGE = 0.05
 
 _MIN_OPACITY = 0.95
 """Nothing is compared where the render is less opaque."""
-
-
-@dataclass(frozen=True)
-class Reference:
-    """What a picture is aligned to.
-
-    Attributes:
-        levels: its views, finest first; see :mod:`ggwarp.kernels.photometric.image_pyramid`.
-        T_cw: [4, 4] world to camera.
-    """
-
-    levels: list[Any]
-    T_cw: Float64
 
 
 @dataclass(frozen=True)
@@ -133,14 +120,17 @@ class Aligner:
         colour_noise: float = _COLOUR_NOISE,
         agreement: float = 0.0,
         max_pixels: int | None = None,
+        recorded: bool | None = None,
         device: Any,
     ) -> None:
         """Prepare to align pictures of ``camera``'s size.
 
         Args:
             colour_noise: standard deviation of a colour, 0..1.
-            agreement: see :func:`ggwarp.kernels.photometric.alignment.linearise`.
+            agreement: see :class:`ggwarp.kernels.photometric.alignment.AlignmentProblem`.
             max_pixels: larger sizes than this are only made smaller; None: the picture's own is compared.
+            recorded: record an alignment as a graph and replay it; the default does on CUDA where the driver
+                has loops in graphs. On the CPU a recording runs on one thread.
         """
         self._device = wp.get_device(device)
         self.cameras = [camera]
@@ -150,18 +140,19 @@ class Aligner:
             self._finest += 1
         for _ in range(_LEVELS - 1):
             self.cameras.append(halved(self.cameras[-1]))
-        self._noise, self._agreement, self._depth_noise = colour_noise, agreement, 0.0
+        self._colour_noise, self._agreement, self._depth_noise = colour_noise, agreement, 0.0
         self._observed = self._empty_levels()
         self._rendered: Reference | None = None
-        self._strides = [math.ceil((c.width * c.height / _ENOUGH) ** 0.5) for c in self.cameras]
-        items = max(
-            alignment.item_count(c.height, c.width, stride)
-            for c, stride in zip(self.cameras, self._strides, strict=True)
-        )
-        self._sums = wp.empty((items, alignment.SUMS), dtype=float, device=self._device)
-        total: Any = wp.float64
-        self._folded = wp.empty((alignment.FOLDED, alignment.SUMS), dtype=total, device=self._device)
-        self._system = wp.zeros(alignment.SUMS, dtype=total, device=self._device)
+        self._sizes = [
+            alignment.AlignmentSize(
+                intrinsics_of(c), c.height, c.width, math.ceil((c.width * c.height / _ENOUGH) ** 0.5)
+            )
+            for c in self.cameras
+        ]
+        if recorded is None:
+            recorded = self._device.is_cuda and wp.is_conditional_graph_supported()
+        self._recorded, self._graphs = recorded, GraphCache(self._device)
+        self._arrays = AlignmentLoopArrays(1, self._sizes, self._device)
 
     @property
     def compared_camera(self) -> Camera:
@@ -189,7 +180,7 @@ class Aligner:
         """Return a picture of this camera from ``T_wc`` [4, 4], with its depth, to align others to."""
         levels = self._empty_levels(self._observed[: self._finest])
         self._pack(rgb, depth, levels)
-        return Reference(levels, se3.inverse(T_wc))
+        return self._made(levels, se3.inverse(T_wc))
 
     def take_render(self, image: Any, transmittance: Any, T_cw: Float64) -> None:
         """Take a render from ``T_cw`` [4, 4] as the reference of those that follow.
@@ -197,7 +188,10 @@ class Aligner:
         Args:
             image: [>= 4, Hp, Wp] colour and expected depth. transmittance: [Hp, Wp].
         """
-        levels = self._rendered.levels if self._rendered else self._empty_levels()
+        if self._rendered is None:
+            self._rendered = self._made(self._empty_levels(), np.eye(4))
+        self._rendered = replace(self._rendered, T_cw=np.array(T_cw, np.float64))
+        levels = self._rendered.levels
         image_pyramid.pack_render(
             image,
             transmittance,
@@ -206,7 +200,6 @@ class Aligner:
             device=self._device,
         )
         self._shrink(levels)
-        self._rendered = Reference(levels, np.array(T_cw, np.float64))
 
     def align(
         self,
@@ -229,69 +222,73 @@ class Aligner:
         Raises:
             ValueError: there is no reference, nor a render.
         """
-        if not references:
-            references = [self._taken_render()]
-        T, exposures = np.array(T_cw, np.float64), [exposure] * len(references)
-        systems: list[System] = []
-        H, converged, iterations = np.zeros((8, 8)), False, 0
-        for level in reversed(range(self._finest, self._finest + _LEVELS)):
-            for _ in range(_ITERATIONS):
-                pairs = zip(references, exposures, strict=True)
-                systems = [self.linearise(level, T, e, reference) for reference, e in pairs]
-                if level > self._finest and sum(s.pixels for s in systems) < _LEAST_PIXELS:
-                    break
-                # A coarse pixel stands for the fine ones under it.
-                share = 4.0 ** (level - self._finest)
-                H, gradient = joint_equations(systems, share, T, exposures, prior)
-                step = gauss_newton_step(H, gradient, len(H) if fit_exposure else POSE)
-                T = se3.se3_exp(step[:POSE]) @ T
-                changes = step[POSE:].reshape(-1, 2).tolist()
-                exposures = [(a + da, b + db) for (a, b), (da, db) in zip(exposures, changes, strict=True)]
-                iterations += 1
-                converged = bool(step @ H @ step < share * _SETTLED**2)
-                if converged:
-                    break
-        T_cw = se3.orthonormalised(T)
-        return Alignment(T_cw, exposures, systems, pose_information(H), converged, iterations)
+        references = references or [self._taken_render()]
+        exposures = [exposure] * len(references)
+        self._load(references, T_cw, exposures, prior, fit_exposure=fit_exposure)
+        if self._recorded:
+            count, room = len(references), self._arrays.references
+            self._graphs.run(count, lambda: self._search(count), arrays=room)
+        else:
+            self._search(len(references))
+        T, exposures, numbers, state = self._arrays.read(len(references))
+        systems = [unpacked(row, self._sizes[self._finest].stride ** 2) for row in numbers]
+        return Alignment(
+            se3.orthonormalised(T),
+            exposures,
+            systems,
+            pose_information(systems, prior),
+            converged=bool(state[alignment_loop.CONVERGED]),
+            iterations=int(state[alignment_loop.STEPS]),
+        )
 
-    def linearise(
-        self,
-        level: int,
-        T_cw: Float64,
-        exposure: tuple[float, float],
-        reference: Reference | None = None,
-    ) -> System:
-        """Return the normal equations at ``T_cw`` [4, 4] for pictures of size ``level`` (0: the camera's).
+    def _search(self, references: int) -> None:
+        for level in reversed(range(self._finest, self._finest + _LEVELS)):
+            size = self._sizes[level]
+            # A coarse pixel stands for the fine ones under it, one that is compared for those around it.
+            share = 4.0 ** (level - self._finest)
+            rules = alignment_loop.StepRules(
+                share=INDEPENDENCE * share * size.stride**2,
+                exposure_precision=EXPOSURE_PRECISION,
+                iterations=_ITERATIONS,
+                settled=_SETTLED,
+                deviation_share=share,
+                least_pixels=_LEAST_PIXELS / size.stride**2 if level > self._finest else 0.0,
+            )
+            alignment_loop.run_size(
+                self._arrays.loop,
+                rules,
+                level=level,
+                size=size,
+                references=references,
+                device=self._device,
+            )
+
+    def linearise(self, level: int, T_cw: Float64, exposure: tuple[float, float]) -> System:
+        """Return the normal equations by the render, at ``T_cw`` [4, 4], of size ``level`` (0: the camera's).
 
         Of a large picture each pixel that is compared stands for those around it, too.
-
-        Args:
-            reference: None: the render.
         """
-        reference = reference or self._taken_render()
-        alignment.linearise(
-            reference.levels[level],
-            self._observed[level],
-            intrinsics_of(self.cameras[level]),
-            motion=_matrix(T_cw @ se3.inverse(reference.T_cw)),
-            exposure=exposure,
-            noise=(self._noise, _ROBUST_SCALE, _EDGE, self._depth_noise),
-            agreement=self._agreement,
-            stride=self._strides[level],
-            sums=self._sums,
-            folded=self._folded,
-            system=self._system,
-            device=self._device,
-        )
-        numbers = to_host(self._system) * float(self._strides[level] ** 2)
-        H = np.zeros((alignment.PARAMETERS, alignment.PARAMETERS))
-        H[np.triu_indices(alignment.PARAMETERS)] = numbers[:36]
-        return System(
-            H=H + np.triu(H, 1).T,
-            gradient=np.array(numbers[36:44], np.float64),
-            cost=float(numbers[44]),
-            pixels=int(numbers[45]),
-        )
+        self._load([self._taken_render()], T_cw, [exposure])
+        size = self._sizes[level]
+        alignment.linearise(self._arrays.loop, level=level, size=size, references=1, device=self._device)
+        return unpacked(self._arrays.read(1)[2][0], size.stride**2)
+
+    def _load(
+        self,
+        references: Sequence[Reference],
+        T_cw: Float64,
+        exposures: list[tuple[float, float]],
+        prior: Prior | None = None,
+        *,
+        fit_exposure: bool = True,
+    ) -> None:
+        if len(references) > self._arrays.references:
+            self._arrays = AlignmentLoopArrays(len(references), self._sizes, self._device)
+        comparison = Comparison(self._colour_noise, self._depth_noise, _ROBUST_SCALE, _EDGE, self._agreement)
+        self._arrays.load(references, T_cw, exposures, comparison, prior, fit_exposure=fit_exposure)
+
+    def _made(self, levels: list[Any], T_cw: Float64) -> Reference:
+        return Reference(levels, T_cw, view_rows(levels, self._observed))
 
     def _taken_render(self) -> Reference:
         if self._rendered is None:
@@ -308,7 +305,3 @@ class Aligner:
     def _shrink(self, levels: list[Any]) -> None:
         for fine, coarse in itertools.pairwise(levels):
             image_pyramid.halve(fine, edge=_EDGE, coarse=coarse, device=self._device)
-
-
-def _matrix(T: Float64) -> wp.mat44:
-    return wp.mat44(*np.asarray(T, np.float32).ravel().tolist())

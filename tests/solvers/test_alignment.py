@@ -7,7 +7,7 @@ import warp as wp
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
-from ggwarp.solvers.alignment import Aligner, halved
+from ggwarp.solvers.alignment import Aligner, Alignment, halved
 from ggwarp.solvers.pose_equations import Prior
 
 CAMERA = Camera(120, 91, 110.0, 110.0, 59.5, 45.0)
@@ -69,6 +69,44 @@ def test_a_prior_holds_what_it_knows(device: str) -> None:
     assert np.abs(se3.se3_log(firm.T_cw)).max() < 1e-5
     loose = searched.align(np.eye(4), prior=Prior(np.eye(4), 1e-6 * np.eye(6)))
     assert np.abs(se3.se3_log(loose.T_cw @ se3.inverse(TRUE))).max() < 1e-3
+
+
+@pytest.mark.parametrize("recorded", [False, True])
+def test_a_recording_serves_any_references_priors_and_starts(device: str, recorded: bool) -> None:
+    """One after another, each as by an aligner of its own that records nothing."""
+    if recorded and wp.get_device(device).is_cuda and not wp.is_conditional_graph_supported():
+        pytest.skip("no loops in graphs")
+    poses = [se3.se3_exp(share * se3.se3_log(TRUE)) for share in (0.0, 0.3, 0.8)]
+    taken = [(np.clip(255.0 * c + 0.5, 0, 255).astype(np.uint8), d) for c, d in map(seen_from, poses)]
+    picture = np.clip(255.0 * seen_from(TRUE)[0] + 0.5, 0, 255).astype(np.uint8)
+    prior = Prior(TRUE, 1e6 * np.eye(6))
+
+    def searched(made: Aligner, chosen: list[int], start: int, prior: Prior | None, fit: bool) -> Alignment:
+        made.take_picture(picture)
+        references = [
+            made.reference(rgb, d.astype(np.float32), se3.inverse(poses[r]))
+            for r in chosen
+            for rgb, d in [taken[r]]
+        ]
+        return made.align(poses[start], references=references, prior=prior, fit_exposure=fit)
+
+    kept = Aligner(CAMERA, recorded=recorded, device=device)
+    cases = [
+        ([0], 0, None),
+        ([1], 0, None),
+        ([0, 1], 0, prior),
+        ([1, 2], 1, None),
+        ([2], 2, prior),
+        ([0], 1, None),
+    ]
+    for fit in (True, False):
+        for chosen, start, known in cases:
+            found = searched(kept, chosen, start, known, fit)
+            alone = searched(Aligner(CAMERA, recorded=False, device=device), chosen, start, known, fit)
+            np.testing.assert_array_equal(found.T_cw, alone.T_cw)
+            np.testing.assert_array_equal(found.information, alone.information)
+            assert (found.exposures, found.iterations) == (alone.exposures, alone.iterations)
+            assert found.converged and np.abs(se3.se3_log(found.T_cw @ se3.inverse(TRUE))).max() < 1e-3
 
 
 def test_a_blank_picture_moves_nothing(device: str) -> None:

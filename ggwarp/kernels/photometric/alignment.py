@@ -15,13 +15,15 @@ T_cw <- Exp(tau) T_cw, tau = (v, w), moves x by v + w x x. Standard deviations a
 weigh both. Sums go piece of a row -> system in a fixed order.
 """
 
+from dataclasses import dataclass
 from typing import Any
 
 import warp as wp
 
 from ggwarp.kernels.camera import CameraIntrinsics
-from ggwarp.kernels.math import rotation_of
+from ggwarp.kernels.math import mat66d
 from ggwarp.kernels.photometric.alignment_pixels import SUMS, add_depth, add_pixel, surface_normal, vec46
+from ggwarp.kernels.rigid import rotation_d, single_matrix, translation_d
 from ggwarp.runtime.launch import launch_split
 
 wp.set_module_options({"enable_backward": False})
@@ -39,38 +41,135 @@ _PIECE = wp.constant(PIECE)
 _NEAR = wp.constant(0.05)
 
 
+@wp.struct
+class AlignmentProblem:
+    """What is compared, and what is known beforehand.
+
+    Attributes:
+        colour_noise, depth_noise: standard deviations of a colour, 0..1, and of a depth, metres; depth is not
+            compared where that is 0.
+        robust_scale: deviations at which the robust kernel halves a residual's share of the cost.
+        edge: relative jump of depth within a pixel that makes an edge.
+        agreement: colour is compared where the observed depth differs by no more than this share of the
+            expected one, and the picture is not flat; 0: everywhere.
+        fit_exposure: whether (a, b) are searched; 0: they stay.
+        information: inverse covariance of tau in T_cw <- Exp(tau) T_cw, 0 where nothing is known.
+        known: camera to world, the pose that it is about.
+    """
+
+    colour_noise: float
+    depth_noise: float
+    robust_scale: float
+    edge: float
+    agreement: float
+    fit_exposure: int
+    information: mat66d
+    known: wp.mat44d
+
+
+@wp.struct
+class AlignmentView:
+    """A reference as rendered, and the picture that is compared with it, both [h, w] and of one camera."""
+
+    rendered: wp.array2d[wp.vec4]
+    observed: wp.array2d[wp.vec4]
+
+
+@dataclass(frozen=True)
+class AlignmentSize:
+    """Pictures of one size, as they are compared.
+
+    Attributes:
+        camera: the device's struct; height, width: its picture's.
+        stride: every so many-th pixel of a row and a column counts, from the ``stride // 2``-th on.
+    """
+
+    camera: CameraIntrinsics
+    height: int
+    width: int
+    stride: int = 1
+
+    @property
+    def pieces(self) -> int:
+        """Pieces of a row."""
+        return -(-len(range(self.stride // 2, self.width, self.stride)) // PIECE)
+
+    @property
+    def items(self) -> int:
+        """Rows of sums that one reference needs."""
+        return len(range(self.stride // 2, self.height, self.stride)) * self.pieces
+
+
+@dataclass(frozen=True)
+class AlignmentArrays:
+    """What an alignment of one picture to R references works on.
+
+    Attributes:
+        problem: [1] :class:`AlignmentProblem`.
+        views: [sizes, R] :class:`AlignmentView`, finest first.
+        origins: [R] wp.mat44d, camera to world, the references' poses.
+        T_cw: [1] wp.mat44d, world to camera, the picture's, improved.
+        exposures: [R] wp.vec2d, (a, b), improved.
+        systems: [R, SUMS] float64, the last linearisation; see :data:`SUMS`.
+        state: [STATES] int, see :mod:`ggwarp.kernels.photometric.alignment_loop`.
+        sums: [>= R items, SUMS] float and folded: [R, FOLDED, SUMS] float64: scratch.
+    """
+
+    problem: Any
+    views: Any
+    origins: Any
+    T_cw: Any
+    exposures: Any
+    systems: Any
+    state: Any
+    sums: Any
+    folded: Any
+
+    @property
+    def references(self) -> int:
+        """R."""
+        return self.origins.shape[0]
+
+
 @wp.kernel
 def _linearise(
     offset: int,
+    items: int,
     pieces: int,
     stride: int,
-    rendered: wp.array2d[wp.vec4],
-    observed: wp.array2d[wp.vec4],
+    size: int,
     camera: CameraIntrinsics,
-    motion: wp.mat44,
-    exposure: wp.vec2,
-    noise: wp.vec4,
-    agreement: float,
+    problems: wp.array[AlignmentProblem],
+    views: wp.array2d[AlignmentView],
+    origins: wp.array[wp.mat44d],
+    T_cw: wp.array[wp.mat44d],
+    exposures: wp.array[wp.vec2d],
     sums: wp.array2d[float],
 ):
     item = offset + wp.tid()
-    line = item / pieces
-    piece = item - line * pieces
+    reference = item / items
+    line = (item - reference * items) / pieces
+    piece = item - reference * items - line * pieces
+    problem = problems[0]
+    rendered = views[size, reference].rendered
+    observed = views[size, reference].observed
+    motion = T_cw[0] * origins[reference]
+    rotation = single_matrix(rotation_d(motion))
+    shift = wp.vec3(translation_d(motion))
+    gain = wp.exp(float(exposures[reference][0]))
+    bias = float(exposures[reference][1])
     row = stride / 2 + line * stride
     total = vec46()
-    gain = wp.exp(exposure[0])
     begin = stride / 2 + piece * _PIECE * stride
     end = wp.min(begin + _PIECE * stride, rendered.shape[1] - 1)
     if row == 0 or row >= rendered.shape[0] - 1:
         end = begin
-    rotation = rotation_of(motion)
-    shift = wp.vec3(motion[0, 3], motion[1, 3], motion[2, 3])
     ray_y = (float(row) - camera.cy) / camera.fy
     step_x = 1.0 / camera.fx
     for column in range(wp.where(begin == 0, stride, begin), end, stride):
         seen = rendered[row, column]
         z = seen[3]
-        jump = noise[2] * z
+        jump = problem.edge * z
         left = rendered[row, column - 1][3]
         right = rendered[row, column + 1][3]
         up = rendered[row - 1, column][3]
@@ -86,42 +185,44 @@ def _linearise(
                 v = camera.fy * x[1] * iz + camera.cy
                 total = add_pixel(
                     total, observed, seen, x, iz, u, v, camera,
-                    gain, exposure[1], noise[0], noise[1], agreement,
+                    gain, bias, problem.colour_noise, problem.robust_scale, problem.agreement,
                 )  # fmt: skip
-                if noise[3] > 0.0:
+                if problem.depth_noise > 0.0:
                     normal = surface_normal(ray_x, ray_y, right, left, down, up, camera.fx, camera.fy)
                     normal = rotation * wp.normalize(normal)
-                    total = add_depth(total, observed, normal, x, u, v, camera, noise[3], noise[1])
+                    total = add_depth(
+                        total, observed, normal, x, u, v, camera, problem.depth_noise, problem.robust_scale
+                    )
     for k in range(46):
         sums[item, k] = total[k]
 
 
 @wp.kernel
-def _fold(sums: wp.array2d[float], items: int, folded: wp.array2d[wp.float64]):
-    """Row f of ``folded``: the sum of rows f, f + F, ... of ``sums``, F being the rows of ``folded``."""
-    f, k = wp.tid()
+def _fold(sums: wp.array2d[float], items: int, folded: wp.array3d[wp.float64]):
+    """Row f of a reference: the sum of its rows f, f + F, ... of ``sums``, F being the rows there are."""
+    reference, f, k = wp.tid()
     total = wp.float64(0.0)
-    for item in range(f, items, folded.shape[0]):
+    for item in range(reference * items + f, (reference + 1) * items, folded.shape[1]):
         total += wp.float64(sums[item, k])
-    folded[f, k] = total
+    folded[reference, f, k] = total
 
 
 @wp.kernel
-def _add(folded: wp.array2d[wp.float64], system: wp.array[wp.float64]):
-    k = wp.tid()
+def _add(folded: wp.array3d[wp.float64], systems: wp.array2d[wp.float64]):
+    reference, k = wp.tid()
     total = wp.float64(0.0)
-    for f in range(folded.shape[0]):
-        total += folded[f, k]
-    system[k] = total
+    for f in range(folded.shape[1]):
+        total += folded[reference, f, k]
+    systems[reference, k] = total
 
 
 @wp.kernel
-def _reduce(sums: wp.array2d[float], items: int, system: wp.array[wp.float64]):
-    k = wp.tid()
+def _reduce(sums: wp.array2d[float], items: int, systems: wp.array2d[wp.float64]):
+    reference, k = wp.tid()
     total = wp.float64(0.0)
-    for item in range(items):
+    for item in range(reference * items, (reference + 1) * items):
         total += wp.float64(sums[item, k])
-    system[k] = total
+    systems[reference, k] = total
 
 
 def folds(items: int, device: Any) -> bool:
@@ -129,59 +230,30 @@ def folds(items: int, device: Any) -> bool:
     return items > 2 * FOLDED and not wp.get_device(device).is_cpu
 
 
-def item_count(height: int, width: int, stride: int = 1) -> int:
-    """Return the rows of ``sums`` that a view of this size needs where every ``stride``-th pixel counts."""
-    return len(range(stride // 2, height, stride)) * _pieces(width, stride)
-
-
-def _pieces(width: int, stride: int) -> int:
-    return -(-len(range(stride // 2, width, stride)) // PIECE)
-
-
 def linearise(
-    rendered: Any,
-    observed: Any,
-    camera: CameraIntrinsics,
-    *,
-    motion: wp.mat44,
-    exposure: tuple[float, float],
-    noise: tuple[float, float, float, float],
-    agreement: float = 0.0,
-    stride: int = 1,
-    sums: Any,
-    folded: Any,
-    system: Any,
-    device: Any,
+    arrays: AlignmentArrays, *, level: int, size: AlignmentSize, references: int, device: Any
 ) -> None:
-    """Sum the normal equations of all residuals, at robust weights.
+    """Sum each reference's normal equations of all residuals, at robust weights, to ``systems``.
 
     Args:
-        rendered, observed: [h, w] vec4 views of the same size and camera.
-        motion: rendering camera to observing camera.
-        exposure: (a, b).
-        noise: standard deviation of a colour, 0..1; deviations at which the robust kernel halves a residual's
-            share of the cost; relative jump of depth within a pixel that makes an edge; standard deviation of
-            depth, metres, 0 where depth is not compared.
-        agreement: colour is compared where the observed depth differs by no more than this share of the
-            expected one, and the picture is not flat; 0: everywhere.
-        stride: every so many-th pixel of a row and a column counts, from the ``stride // 2``-th on.
-        sums: [>= item_count(h, w, stride), SUMS] float, folded: [FOLDED, SUMS] float64: scratch.
-        system: [SUMS] float64, written; see :data:`SUMS`.
+        level: the size's place in ``views``.
+        references: how many there are: the first rows.
     """
-    pieces, items = _pieces(rendered.shape[1], stride), item_count(*rendered.shape, stride)
+    a, items, shape = arrays, size.items, (references, SUMS)
     launch_split(
         _linearise,
-        items,
+        references * items,
         inputs=[
-            pieces, stride, rendered, observed, camera, motion, wp.vec2(*exposure), wp.vec4(*noise),
-            agreement,
+            items, size.pieces, size.stride, level, size.camera,
+            a.problem, a.views, a.origins, a.T_cw, a.exposures,
         ],
-        outputs=[sums],
+        outputs=[a.sums],
         device=device,
         min_piece=32,
     )  # fmt: skip
     if folds(items, device):
-        wp.launch(_fold, dim=folded.shape, inputs=[sums, items], outputs=[folded], device=device)
-        wp.launch(_add, dim=SUMS, inputs=[folded], outputs=[system], device=device)
+        dim = references, FOLDED, SUMS
+        wp.launch(_fold, dim=dim, inputs=[a.sums, items], outputs=[a.folded], device=device)
+        wp.launch(_add, dim=shape, inputs=[a.folded], outputs=[a.systems], device=device)
     else:
-        wp.launch(_reduce, dim=SUMS, inputs=[sums, items], outputs=[system], device=device)
+        wp.launch(_reduce, dim=shape, inputs=[a.sums, items], outputs=[a.systems], device=device)

@@ -11,7 +11,7 @@ from typing import Any
 
 import warp as wp
 
-from ggwarp.kernels.math import mat66d, vec6d
+from ggwarp.kernels.math import mat66d, solve_positive, vec6d
 from ggwarp.kernels.registration.gicp import StageSettings, linearise
 from ggwarp.kernels.rigid import orthonormalised, se3_exp
 
@@ -22,36 +22,6 @@ ACTIVE, LEFT, STATES = 0, 1, 2
 
 TRANSLATION, ROTATION, ITERATIONS, CONVERGED, PROGRESS = range(5)
 """Places in the progress: the last step, metres and radians; linearisations in all; whether it was small."""
-
-
-@wp.func
-def _solve(H: mat66d, g: vec6d) -> vec6d:
-    """Cholesky; zero where the matrix is not positive definite."""
-    L = mat66d()
-    for r in range(6):
-        for c in range(r + 1):
-            s = H[r, c]
-            for k in range(c):
-                s -= L[r, k] * L[c, k]
-            if r == c:
-                if not (s > wp.float64(0.0)):
-                    return vec6d()
-                L[r, r] = wp.sqrt(s)
-            else:
-                L[r, c] = s / L[c, c]
-    x = vec6d()
-    for r in range(6):
-        s = g[r]
-        for k in range(r):
-            s -= L[r, k] * x[k]
-        x[r] = s / L[r, r]
-    for b in range(6):
-        r = 5 - b
-        s = x[r]
-        for k in range(r + 1, 6):
-            s -= L[k, r] * x[k]
-        x[r] = s / L[r, r]
-    return x
 
 
 @wp.kernel
@@ -81,7 +51,7 @@ def _update_kernel(
             k += 1
     for r in range(6):
         H[r, r] += damping * H[r, r]
-    xi = _solve(H, g)
+    xi = solve_positive(H, g)
     pose[0] = orthonormalised(pose[0] * se3_exp(xi))
     v = wp.sqrt(xi[0] * xi[0] + xi[1] * xi[1] + xi[2] * xi[2])
     w = wp.sqrt(xi[3] * xi[3] + xi[4] * xi[4] + xi[5] * xi[5])

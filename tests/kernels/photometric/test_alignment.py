@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Direct alignment's normal equations, against NumPy's residuals and their finite differences."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import warp as wp
@@ -9,6 +11,7 @@ from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
 from ggwarp.kernels.camera import intrinsics_of
 from ggwarp.kernels.photometric import alignment
+from ggwarp.solvers.alignment_arrays import AlignmentLoopArrays, Comparison, Reference, view_rows
 
 CAMERA = Camera(70, 11, 60.0, 62.0, 34.2, 5.1)
 NOISE, ROBUST, EDGE = 0.05, 3.0, 0.05
@@ -76,26 +79,45 @@ def system(
     agreement: float = 0.0,
     stride: int = 1,
 ) -> np.ndarray:
-    arrays = [wp.array(x, dtype=wp.vec4, device=device) for x in (rendered, observed)]
-    sums = wp.empty(
-        (alignment.item_count(*rendered.shape[:2], stride), alignment.SUMS), dtype=wp.float32, device=device
-    )
-    folded = wp.full((alignment.FOLDED, alignment.SUMS), 7.0, dtype=wp.float64, device=device)
-    out = wp.zeros(alignment.SUMS, dtype=wp.float64, device=device)
-    alignment.linearise(
-        *arrays,
-        intrinsics_of(CAMERA),
-        motion=wp.mat44(*motion.astype(np.float32).ravel().tolist()),
-        exposure=EXPOSURE,
-        noise=(NOISE, ROBUST, EDGE, depth_noise),
-        agreement=agreement,
-        stride=stride,
-        sums=sums,
-        folded=folded,
-        system=out,
-        device=device,
-    )
-    return out.numpy()
+    size = alignment.AlignmentSize(intrinsics_of(CAMERA), *rendered.shape[:2], stride)
+    comparison = Comparison(NOISE, depth_noise, ROBUST, EDGE, agreement)
+    arrays = AlignmentLoopArrays(2, [size], device)
+    arrays.loop.folded.fill_(7.0)
+    arrays.loop.systems.fill_(7.0)
+    reference = reference_to(rendered, observed, device)
+    arrays.load([reference], motion, [EXPOSURE], comparison)
+    alignment.linearise(arrays.loop, level=0, size=size, references=1, device=device)
+    return arrays.read(1)[2][0]
+
+
+def reference_to(rendered: np.ndarray, observed: np.ndarray, device: str) -> Reference:
+    """Return a reference at the origin that ``observed`` is compared with."""
+    levels = [wp.array(x, dtype=wp.vec4, device=device) for x in (rendered, observed)]
+    return Reference(levels, np.eye(4), view_rows(levels[:1], levels[1:]))
+
+
+def test_references_are_summed_each_by_itself(device: str, rng: np.random.Generator) -> None:
+    """At their own poses and exposures, in arrays with room for more."""
+    size = alignment.AlignmentSize(intrinsics_of(CAMERA), CAMERA.height, CAMERA.width, 2)
+    comparison = Comparison(NOISE, 0.02, ROBUST, EDGE, 0.0)
+    pairs = [views(rng) for _ in range(3)]
+    poses = [se3.se3_exp(rng.normal(0.0, 0.01, 6)) for _ in range(3)]
+    exposures = [(float(a), float(b)) for a, b in rng.normal(0.0, 0.05, (3, 2))]
+    references = [
+        dataclasses.replace(reference_to(*pair, device), T_cw=pose)
+        for pair, pose in zip(pairs, poses, strict=True)
+    ]
+
+    def found(numbers: list[int], room: int) -> np.ndarray:
+        arrays = AlignmentLoopArrays(room, [size], device)
+        chosen = [references[r] for r in numbers]
+        arrays.load(chosen, MOTION, [exposures[r] for r in numbers], comparison)
+        alignment.linearise(arrays.loop, level=0, size=size, references=len(numbers), device=device)
+        return arrays.read(len(numbers))[2]
+
+    together = found([0, 1, 2], 4)
+    assert together.any(axis=1).all()
+    np.testing.assert_array_equal(together, np.concatenate([found([r], 1) for r in range(3)]))
 
 
 def test_sums_in_two_steps_are_those_in_one(
@@ -109,7 +131,8 @@ def test_sums_in_two_steps_are_those_in_one(
         two = system(*big, MOTION, "cpu", 0.02)
         monkeypatch.undo()
         np.testing.assert_allclose(two, one, rtol=1e-12, atol=1e-12 * np.abs(one).max())
-    assert alignment.item_count(*big[0].shape[:2]) > alignment.FOLDED
+    size = alignment.AlignmentSize(intrinsics_of(CAMERA), *big[0].shape[:2])
+    assert size.items > alignment.FOLDED
 
 
 @pytest.mark.parametrize("stride", [2, 3, 5, 100])
