@@ -9,7 +9,8 @@ import numpy as np
 import warp as wp
 
 from ggwarp.kernels.identity.random import draw_points
-from ggwarp.kernels.registration.hash_grid import allocate_hash_grid, build_hash_grid, find_k_nearest
+from ggwarp.kernels.registration.hash_grid import allocate_hash_grid, build_hash_grid
+from ggwarp.kernels.registration.k_nearest import find_k_nearest
 from ggwarp.map.gaussian_map import GaussianMap
 from ggwarp.runtime.state import FrameSource, State, Stateful
 from ggwarp.runtime.streams import to_host

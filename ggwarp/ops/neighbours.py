@@ -6,7 +6,7 @@ from __future__ import annotations
 import torch
 import warp as wp
 
-from ggwarp.kernels.registration import covariance, hash_grid
+from ggwarp.kernels.registration import covariance, hash_grid, k_nearest
 from ggwarp.ops.tensors import as_quats, as_vectors, on_stream_of, warp_device
 
 
@@ -41,7 +41,7 @@ def knn(
     with on_stream_of(points):
         grid = hash_grid.allocate_hash_grid(len(points), device=device)
         hash_grid.build_hash_grid(grid, targets, cell_size=cell_size, device=device)
-        hash_grid.find_k_nearest(
+        k_nearest.find_k_nearest(
             grid,
             sources,
             k=k,

@@ -203,11 +203,10 @@ class Registrar(Stateful):
         self._arrays.load(cloud, target, T_wc, [])
         distances2 = self._arrays.per_point[: cloud.count]
         gicp.match_points(
-            cloud.points,
-            target.grid,
+            self._arrays.loop.problem,
             self._arrays.loop.pose,
+            count=cloud.count,
             radius=radius,
-            matches=self._arrays.matches,
             distances2=distances2,
             device=self._device,
         )

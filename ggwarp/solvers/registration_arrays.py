@@ -78,7 +78,7 @@ class RegistrationArrays:
     Attributes:
         loop: for :mod:`ggwarp.kernels.registration.gicp_loop`.
         across: [SUMS] float64, for :func:`ggwarp.kernels.registration.gicp_pairs.fix_across`.
-        matches: [points] int, and per_point: [points] float, for what is said of each point.
+        per_point: [points] float, for what is said of each point.
     """
 
     def __init__(self, points: int, stages: int, device: Any) -> None:
@@ -106,7 +106,8 @@ class RegistrationArrays:
 
         packed = self._packed.device
         self.across = packed["across"]
-        self.matches, self.per_point = (empty(points, dtype) for dtype in (int, float))
+        self.per_point = empty(points, float)
+        self._matches, self._searched = empty(points, int), empty(points, wp.vec4)
         rows = gicp.block_count(points, device)
         self.loop = gicp_loop.LoopArrays(
             problem=packed["problem"],
@@ -122,13 +123,18 @@ class RegistrationArrays:
     def load(
         self, cloud: Cloud, target: RegistrationTarget, T_wc: Float64, stages: Sequence[RegistrationStage]
     ) -> None:
-        """Say what is registered, from ``T_wc`` [4, 4] on; all sums are 0 then."""
+        """Say what is registered, from ``T_wc`` [4, 4] on; all sums are 0 then.
+
+        The arrays of a cloud and a target stay as they are while they are registered again and again.
+        """
         host = self._packed.host
         if cloud is not self._cloud or target is not self._target:
             self._cloud, self._target = cloud, target
             problem = self._problem
             problem.points, problem.covariances = cloud.points, cloud.covariances
             problem.grid, problem.grid_covariances = target.grid, target.covariances
+            problem.matches, problem.searched = self._matches, self._searched
+            self._searched.zero_()
             host["problem"][:] = as_rows(gicp.Problem, [problem])
         for row, stage in enumerate(stages):
             host["stages"][row] = tuple(getattr(stage, name) for name in _STAGE_FIELDS)

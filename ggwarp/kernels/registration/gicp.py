@@ -19,7 +19,7 @@ from typing import Any
 
 import warp as wp
 
-from ggwarp.kernels.registration.hash_grid import HashGrid, nearest_in_grid
+from ggwarp.kernels.registration.hash_grid import HashGrid, nearest_and_others
 from ggwarp.kernels.rigid import matrix_to_double, rotation_d, to_double, translation_d
 from ggwarp.runtime.launch import block_size, launch_split
 
@@ -33,46 +33,12 @@ SUMS = 29
 FOLDED = 64
 """Rows that many rows of sums are folded to first."""
 
+_SLACK = wp.constant(0.1)
+"""Others are looked for up to so many cells farther than the nearest: a match holds longer then."""
+
+_ROUNDING = wp.constant(1.0e-6)
+
 vec29d = wp.types.vector(SUMS, wp.float64)
-
-
-@wp.kernel
-def _match(
-    offset: int,
-    points: wp.array[wp.vec3],
-    grid: HashGrid,
-    pose: wp.array[wp.mat44d],
-    radius: float,
-    matches: wp.array[int],
-    distances2: wp.array[float],
-):
-    i = offset + wp.tid()
-    q = rotation_d(pose[0]) * to_double(points[i]) + translation_d(pose[0])
-    j, d2 = nearest_in_grid(grid, wp.vec3(float(q[0]), float(q[1]), float(q[2])), radius)
-    matches[i] = j
-    distances2[i] = wp.where(j >= 0, d2, wp.inf)
-
-
-def match_points(
-    points: Any, grid: Any, pose: Any, *, radius: float, matches: Any, distances2: Any, device: Any
-) -> None:
-    """Find each frame point's nearest map point.
-
-    Args:
-        points: [n] wp.vec3, camera frame, metres.
-        grid: built :class:`HashGrid` of the map's points, world frame.
-        pose: [1] wp.mat44d, T_wc.
-        radius: metres.
-        matches: [n] int, written: place in the *grid's* order, -1 for none.
-        distances2: [n] float, written: squared distance, m^2; inf for none.
-    """
-    launch_split(
-        _match,
-        points.shape[0],
-        inputs=[points, grid, pose, radius],
-        outputs=[matches, distances2],
-        device=device,
-    )
 
 
 @wp.func
@@ -84,12 +50,23 @@ def robust_weight(e2: wp.float64, scale2: wp.float64) -> wp.float64:
 
 @wp.struct
 class Problem:
-    """A frame's points in camera coordinates, and the map in world coordinates that they are laid on."""
+    """A frame's points in camera coordinates, and the map in world coordinates that they are laid on.
+
+    A point's last search is kept: its match stays while it moves by less than others are farther away, as
+    most do from one linearisation to the next. What is found is the same to the bit.
+
+    Attributes:
+        matches: [n] the last matches' places in the grid's order, -1 for none.
+        searched: [n] where the point was then, world frame, and how far away all others were at least; zeros
+            where there was no search. Without it every match is looked for.
+    """
 
     points: wp.array[wp.vec3]
     covariances: wp.array[wp.mat33]
     grid: HashGrid
     grid_covariances: wp.array[wp.mat33]
+    matches: wp.array[int]
+    searched: wp.array[wp.vec4]
 
 
 @wp.struct
@@ -104,14 +81,50 @@ class StageSettings:
 
 
 @wp.func
+def match_of(problem: Problem, i: int, q: wp.vec3, radius: float):
+    """Return where point i's match is in the grid's order, -1 for none, and its squared distance.
+
+    Args:
+        q: the point in the world.
+    """
+    grid = problem.grid
+    kept = problem.searched.shape[0] > 0
+    if kept:
+        last = problem.searched[i]
+        before = wp.vec3(last[0], last[1], last[2])
+        # With more than what floats round off.
+        moved = wp.length(q - before) + _ROUNDING * (wp.abs(q[0]) + wp.abs(q[1]) + wp.abs(q[2]))
+        others = last[3] - moved
+        j = problem.matches[i]
+        if j < 0 and others > radius:
+            return j, radius * radius
+        if j >= 0 and others > 0.0:
+            d2 = wp.length_sq(grid.points[j] - q)
+            if d2 < others * others:
+                return wp.where(d2 <= radius * radius, j, -1), d2
+    slack = wp.where(kept, _SLACK * grid.cell_size, 0.0)
+    j, d2, others2 = nearest_and_others(grid, q, radius + slack, slack)
+    if kept:
+        problem.matches[i] = j
+        problem.searched[i] = wp.vec4(q[0], q[1], q[2], wp.sqrt(others2))
+    return wp.where(d2 <= radius * radius, j, -1), d2
+
+
+@wp.func
+def in_world(problem: Problem, i: int, pose: wp.mat44d) -> wp.vec3:
+    """Return point i where ``pose`` puts it."""
+    q = rotation_d(pose) * to_double(problem.points[i]) + translation_d(pose)
+    return wp.vec3(float(q[0]), float(q[1]), float(q[2]))
+
+
+@wp.func
 def matched_pair(problem: Problem, i: int, pose: wp.mat44d, radius: float):
     """Return where point i's match is in the grid's order, -1 for none; e_i and M_i."""
     R = rotation_d(pose)
     Rt = wp.transpose(R)
     t = translation_d(pose)
     a = to_double(problem.points[i])
-    q = R * a + t
-    j, _d2 = nearest_in_grid(problem.grid, wp.vec3(float(q[0]), float(q[1]), float(q[2])), radius)
+    j, _d2 = match_of(problem, i, in_world(problem, i, pose), radius)
     e = wp.vec3d()
     M = wp.mat33d()
     if j >= 0:
@@ -119,6 +132,31 @@ def matched_pair(problem: Problem, i: int, pose: wp.mat44d, radius: float):
         B = matrix_to_double(problem.grid_covariances[j])
         M = wp.inverse(Rt * B * R + matrix_to_double(problem.covariances[i]))
     return j, e, M
+
+
+@wp.kernel
+def _match(
+    offset: int,
+    problems: wp.array[Problem],
+    pose: wp.array[wp.mat44d],
+    radius: float,
+    distances2: wp.array[float],
+):
+    i = offset + wp.tid()
+    j, d2 = match_of(problems[0], i, in_world(problems[0], i, pose[0]), radius)
+    distances2[i] = wp.where(j >= 0, d2, wp.inf)
+
+
+def match_points(problem: Any, pose: Any, *, count: int, radius: float, distances2: Any, device: Any) -> None:
+    """Find each frame point's squared distance, m^2, to the nearest map point; inf for none.
+
+    Args:
+        problem, pose: see :func:`linearise`.
+        count: the problem's points.
+        radius: metres.
+        distances2: [>= count] float, written.
+    """
+    launch_split(_match, count, inputs=[problem, pose, radius], outputs=[distances2], device=device)
 
 
 @wp.kernel

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A hash grid over points: build, exact nearest point within a radius, exact k nearest.
+"""A hash grid over points: build, exact nearest point within a radius; k nearest are in ``k_nearest``.
 
 A point's key is a hash of its integer cell. Points are gathered into key order, so that a
 cell's points are contiguous in memory; two cells that share a key are told apart by the true
@@ -17,9 +17,6 @@ import warp as wp
 from ggwarp.runtime.launch import launch_split
 
 wp.set_module_options({"enable_backward": False})
-
-_RINGS_BEFORE_SCAN = 4
-"""k-NN gives up on rings after this many and scans every point: only far outliers get there."""
 
 _CELL_LIMIT = wp.constant(1.0e9)
 
@@ -134,19 +131,13 @@ def build_hash_grid(grid: Any, points: Any, *, cell_size: float, device: Any) ->
 
 
 @wp.func
-def _gap2(q: float, cell: int, cell_size: float) -> float:
+def gap2(q: float, cell: int, cell_size: float) -> float:
     """Squared distance from ``q`` to a cell along one axis, a little under the true one."""
     low = float(cell) * cell_size
     gap = wp.max(low - q, q - (low + cell_size))
     # A point's cell is computed in floats: allow for the rounding of large coordinates.
     gap = wp.max(gap - 4.0e-7 * wp.abs(q) - 1.0e-6 * cell_size, 0.0)
     return gap * gap
-
-
-@wp.func
-def _box_distance2(q: wp.vec3, cell: wp.vec3i, cell_size: float) -> float:
-    """Squared distance from ``q`` to a cell's box, a little under the true one."""
-    return _gap2(q[0], cell[0], cell_size) + _gap2(q[1], cell[1], cell_size) + _gap2(q[2], cell[2], cell_size)
 
 
 @wp.func
@@ -166,8 +157,20 @@ def nearest_in_grid(grid: HashGrid, q: wp.vec3, radius: float):
 
     Of equally near points the one given first wins.
     """
+    best, best_d2, _others2 = nearest_and_others(grid, q, radius, 0.0)
+    return best, best_d2
+
+
+@wp.func
+def nearest_and_others(grid: HashGrid, q: wp.vec3, radius: float, slack: float):
+    """Return what :func:`nearest_in_grid` does, and the squared distance that all other points have at least.
+
+    Those up to ``slack`` farther than the nearest are looked for; none is farther than ``radius`` then.
+    """
     best = int(-1)
     best_d2 = radius * radius
+    others2 = best_d2  # at least so far, as far as has been seen
+    limit2 = best_d2  # nothing farther is looked for
     size = grid.cell_size
     home = cell_of(q, size)
     # From the near side to the far one: most cells are then farther than what is found.
@@ -177,36 +180,41 @@ def nearest_in_grid(grid: HashGrid, q: wp.vec3, radius: float):
     rings = int(wp.ceil(radius / size))
     for ring in range(rings + 1):
         reach = wp.max(float(ring - 1), 0.0) * size  # this ring is at least so far away
-        if reach * reach > best_d2:
+        if reach * reach > limit2:
             break
         dz = int(0)
         for _z in range(2 * ring + 1):
-            z2 = _gap2(q[2], home[2] + dz, size)
-            if z2 <= best_d2:
+            z2 = gap2(q[2], home[2] + dz, size)
+            if z2 <= limit2:
                 dy = int(0)
                 for _y in range(2 * ring + 1):
-                    yz2 = z2 + _gap2(q[1], home[1] + dy, size)
-                    if yz2 <= best_d2:
+                    yz2 = z2 + gap2(q[1], home[1] + dy, size)
+                    if yz2 <= limit2:
                         # Inside the shell only its two walls are new.
                         shell = wp.abs(dz) == ring or wp.abs(dy) == ring
                         dx = wp.where(shell, 0, ring * side_x)
                         for _x in range(wp.where(shell, 2 * ring + 1, 2)):
-                            if yz2 + _gap2(q[0], home[0] + dx, size) <= best_d2:
+                            if yz2 + gap2(q[0], home[0] + dx, size) <= limit2:
                                 key = hash_cell(home + wp.vec3i(dx, dy, dz), grid.table_size)
                                 # A point of another cell with this key is as good: no need to tell.
                                 for j in range(grid.spans[key, 0], grid.spans[key, 1]):
                                     d2 = wp.length_sq(grid.points[j] - q)
-                                    if d2 <= best_d2:
-                                        nearer = d2 < best_d2 or best < 0
-                                        if not nearer:
+                                    if d2 <= limit2 and j != best:
+                                        nearer = d2 < best_d2 or (d2 == best_d2 and best < 0)
+                                        if d2 == best_d2 and best >= 0:
                                             nearer = grid.indices[j] < grid.indices[best]
                                         if nearer:
+                                            others2 = wp.where(best < 0, others2, wp.min(others2, best_d2))
                                             best = j
                                             best_d2 = d2
+                                            farthest = wp.sqrt(d2) + slack
+                                            limit2 = wp.min(limit2, farthest * farthest)
+                                        else:
+                                            others2 = wp.min(others2, d2)
                             dx = wp.where(shell, _next(dx, side_x), -dx)
                     dy = _next(dy, side_y)
             dz = _next(dz, side_z)
-    return best, best_d2
+    return best, best_d2, wp.min(others2, limit2)
 
 
 @wp.kernel
@@ -243,88 +251,6 @@ def find_nearest(
         _nearest,
         queries.shape[0],
         inputs=[grid, queries, radius],
-        outputs=[indices, distances2],
-        device=device,
-    )
-
-
-@wp.func
-def _offer(
-    grid: HashGrid, j: int, q: wp.vec3, row: int, k: int, indices: wp.array2d[int], d2s: wp.array2d[float]
-):
-    """Insert grid point ``j`` into a row of the k nearest, sorted by (distance, given index)."""
-    d2 = wp.length_sq(grid.points[j] - q)
-    index = grid.indices[j]
-    slot = int(k - 1)
-    if d2 < d2s[row, slot] or (
-        d2 == d2s[row, slot] and (indices[row, slot] < 0 or index < indices[row, slot])
-    ):
-        while slot > 0 and (
-            d2 < d2s[row, slot - 1] or (d2 == d2s[row, slot - 1] and index < indices[row, slot - 1])
-        ):
-            d2s[row, slot] = d2s[row, slot - 1]
-            indices[row, slot] = indices[row, slot - 1]
-            slot -= 1
-        d2s[row, slot] = d2
-        indices[row, slot] = index
-
-
-@wp.kernel
-def _k_nearest(
-    offset: int,
-    grid: HashGrid,
-    queries: wp.array[wp.vec3],
-    k: int,
-    rings: int,
-    indices: wp.array2d[int],
-    d2s: wp.array2d[float],
-):
-    i = offset + wp.tid()
-    q = queries[i]
-    for s in range(k):
-        indices[i, s] = -1
-        d2s[i, s] = wp.inf
-    home = cell_of(q, grid.cell_size)
-    done = bool(False)
-    for ring in range(rings + 1):
-        reach = wp.max(float(ring - 1), 0.0) * grid.cell_size
-        if reach * reach > d2s[i, k - 1]:
-            done = True
-            break
-        for dz in range(-ring, ring + 1):
-            for dy in range(-ring, ring + 1):
-                step = int(1)
-                if wp.abs(dz) < ring and wp.abs(dy) < ring:
-                    step = 2 * ring
-                for dx in range(-ring, ring + 1, step):
-                    cell = home + wp.vec3i(dx, dy, dz)
-                    if _box_distance2(q, cell, grid.cell_size) <= d2s[i, k - 1]:
-                        key = hash_cell(cell, grid.table_size)
-                        for j in range(grid.spans[key, 0], grid.spans[key, 1]):
-                            if grid.cells[j] == cell:
-                                _offer(grid, j, q, i, k, indices, d2s)
-    reach = float(rings) * grid.cell_size
-    if not done and d2s[i, k - 1] > reach * reach:
-        for s in range(k):
-            indices[i, s] = -1
-            d2s[i, s] = wp.inf
-        for j in range(grid.count):
-            _offer(grid, j, q, i, k, indices, d2s)
-
-
-def find_k_nearest(grid: Any, queries: Any, *, k: int, indices: Any, distances2: Any, device: Any) -> None:
-    """Find each query's ``k`` nearest grid points, nearest first.
-
-    Args:
-        grid: a built :class:`HashGrid`.
-        queries: [m] wp.vec3; a query that is itself a grid point finds itself first.
-        indices: [m, k] int, written: indices as given to the build; -1 where there are fewer points.
-        distances2: [m, k] float, written: squared distances, inf where there are fewer points.
-    """
-    launch_split(
-        _k_nearest,
-        queries.shape[0],
-        inputs=[grid, queries, k, _RINGS_BEFORE_SCAN],
         outputs=[indices, distances2],
         device=device,
     )

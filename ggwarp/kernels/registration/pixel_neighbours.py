@@ -115,7 +115,7 @@ def find_k_nearest_pixels(
     indices: Any,
     device: Any,
 ) -> None:
-    """Find each point's ``k`` nearest, nearest first: as ``hash_grid.find_k_nearest`` does.
+    """Find each point's ``k`` nearest, nearest first: as ``k_nearest.find_k_nearest`` does.
 
     Args:
         points: [n] wp.vec3, camera frame, z > 0, each on the ray of its pixel.

@@ -23,7 +23,7 @@ def make_covariances(rng, n):
 class Case:
     """Matched points of a frame and a map, a pose near the true one."""
 
-    def __init__(self, rng, n, device="cpu", noise=0.002, step=0.01):
+    def __init__(self, rng, n, device="cpu", noise=0.002, step=0.01, kept=True):
         self.T_true = se3.se3_exp(np.concatenate([rng.normal(size=3) * 2.0, rng.normal(size=3)]))
         self.points = rng.uniform([-1.0, -1.0, 1.0], [1.0, 1.0, 3.0], (n, 3)).astype(np.float32)
         self.covariances = make_covariances(rng, n)
@@ -46,6 +46,9 @@ class Case:
         problem = gicp.Problem()
         problem.points, problem.covariances = self.device_points, self.device_covariances
         problem.grid, problem.grid_covariances = self.grid, self.grid_covariances
+        problem.matches = self.matches
+        self.searched = wp.zeros(n if kept else 0, dtype=wp.vec4, device=device)
+        problem.searched = self.searched
         self.arrays = LoopArrays(
             problem=wp.array([problem], dtype=gicp.Problem, device=device),
             stages=wp.zeros(2, dtype=gicp.StageSettings, device=device),
@@ -64,15 +67,18 @@ class Case:
         return wp.array(np.asarray(x, np.float32).reshape(-1, 3, 3), dtype=wp.mat33, device=self.device)
 
     def match(self, radius):
+        """``found`` is then where each match is in the grid's order, -1 for none."""
+        count = len(self.points)
         match_points(
-            self.device_points,
-            self.grid,
+            self.arrays.problem,
             self.pose,
+            count=count,
             radius=radius,
-            matches=self.matches,
             distances2=self.distances2,
             device=self.device,
         )
+        near = np.isfinite(self.distances2.numpy())
+        self.found = np.where(near, self.matches.numpy(), -1)
 
     def set_stage(self, radius=0.2, robust_scale=1e6, thinning=1, iterations=10, tolerance=0.0):
         stage = gicp.StageSettings()
@@ -127,7 +133,7 @@ class Case:
         return self.pose.numpy()[0]
 
     def pairs(self):
-        j = self.matches.numpy()
+        j = self.found
         m = j >= 0
         o = self.order[j[m]]
         return self.points[m], self.covariances[m], self.targets[o], self.target_covariances[o]
@@ -161,7 +167,7 @@ def test_residuals_agree_with_the_oracle(rng, device, n):
     problem.points[0] = np.nan
     problem.device_points.assign(problem.points)
     problem.match(0.2)
-    found, matched = problem.residuals2(0.2), problem.matches.numpy() >= 0
+    found, matched = problem.residuals2(0.2), problem.found >= 0
     assert np.array_equal(np.isfinite(found), matched) and not matched[0]
     pairs = [np.float64(side) for side in problem.pairs()]
     for value, *pair in zip(found[matched], *pairs, strict=True):
@@ -232,7 +238,7 @@ def test_thinning_takes_every_so_manyth_point(rng, device):
     problem = Case(rng, 100, device)
     problem.match(0.2)
     kept = np.arange(0, 100, 7)
-    j = problem.matches.numpy()[kept]
+    j = problem.found[kept]
     o, m = problem.order[j[j >= 0]], kept[j >= 0]
     pairs = problem.points[m], problem.covariances[m], problem.targets[o], problem.target_covariances[o]
     system = problem.linearise(thinning=7)
@@ -275,10 +281,48 @@ def test_nothing_matches(rng, device):
     problem = Case(rng, 50, device)
     problem.pose.assign([se3.se3_exp([100.0, 0, 0, 0, 0, 0])])
     problem.match(0.1)
-    assert (problem.matches.numpy() == -1).all() and np.isinf(problem.distances2.numpy()).all()
+    assert (problem.found == -1).all() and np.isinf(problem.distances2.numpy()).all()
     np.testing.assert_array_equal(problem.linearise(), np.zeros(SUMS))
 
 
 def test_the_same_bits_with_any_number_of_threads(rng, assert_same_on_any_threads):
     problem = Case(rng, 3001)
     assert_same_on_any_threads(lambda: [problem.linearise(0.1, 0.5).copy()])
+
+
+@pytest.mark.parametrize("sizes", [[0.0], [1e-4], [3e-3, 1e-3, 1e-4], [0.05, 1e-3, 0.3], [5.0, 0.0]])
+def test_kept_matches_are_those_of_a_search(rng, device, sizes):
+    """To the bit, however far the pose moves, at any radius, of every n-th point or all."""
+    kept, fresh = (Case(np.random.default_rng(3), 500, device=device, kept=kept) for kept in (True, False))
+    assert len(kept.searched) and not len(fresh.searched)
+    pose, searches = kept.T_true, 0
+    for turn in range(12):
+        pose = pose @ se3.se3_exp(sizes[turn % len(sizes)] * rng.normal(size=6))
+        radius, thinning = rng.choice([0.02, 0.05, 0.2, 1.0]), int(rng.choice([1, 4]))
+        before = kept.searched.numpy()
+        for case in (kept, fresh):
+            case.pose.assign(np.array([pose]))
+        np.testing.assert_array_equal(
+            kept.linearise(radius, 2.0, thinning), fresh.linearise(radius, 2.0, thinning)
+        )
+        np.testing.assert_array_equal(kept.residuals2(radius), fresh.residuals2(radius))
+        for case in (kept, fresh):
+            case.match(radius)
+        np.testing.assert_array_equal(kept.distances2.numpy(), fresh.distances2.numpy())
+        searches += int((kept.searched.numpy() != before).any(axis=1).sum())
+    if max(sizes) <= 1e-4:
+        assert searches < 3 * len(kept.points), "of twelve times as many"
+
+
+def test_kept_matches_with_as_near_points_are_looked_for_again(device):
+    """Of equally near points the first wins, wherever the search before was."""
+    case = Case(np.random.default_rng(0), 2, device=device)
+    targets = np.array([[0.5, 0.0, 1.0], [-0.5, 0.0, 1.0]], np.float32)
+    build_hash_grid(case.grid, case._vec3(targets), cell_size=0.1, device=device)
+    case.device_points.assign(np.array([[0.01, 0.0, 1.0], [-0.01, 0.0, 1.0]], np.float32))
+    for x, expected in ((0.0, (0, 1)), (-0.01, (0, 1)), (0.01, (0, 0)), (-0.02, (1, 1)), (0.0, (0, 1))):
+        T = np.eye(4)
+        T[0, 3] = x
+        case.pose.assign(T[None])
+        case.match(1.0)
+        assert case.grid.indices.numpy()[case.found].tolist() == list(expected), x

@@ -8,12 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ggwarp.kernels.registration.hash_grid import (
+    HashGrid,
     allocate_hash_grid,
     build_hash_grid,
-    find_k_nearest,
     find_nearest,
     hash_cell,
+    nearest_and_others,
 )
+from ggwarp.kernels.registration.k_nearest import find_k_nearest
 from ggwarp.ops.reference.registration import k_nearest
 
 
@@ -85,6 +87,39 @@ def test_random_points_around_the_origin(rng, device, cell_size):
     queries = np.concatenate([points[:50], rng.normal(size=(100, 3)).astype(np.float32) * 1.5])
     check_nearest(points, queries, 0.2, cell_size, device)
     check_k_nearest(points, queries, 8, cell_size, device)
+
+
+@wp.kernel
+def _others(
+    grid: HashGrid, queries: wp.array[wp.vec3], radius: float, slack: float, found: wp.array[wp.vec3]
+):
+    i = wp.tid()
+    j, d2, others2 = nearest_and_others(grid, queries[i], radius, slack)
+    found[i] = wp.vec3(float(j), d2, others2)
+
+
+@pytest.mark.parametrize("slack", [0.0, 0.02, 0.1, 5.0])
+@pytest.mark.parametrize("radius", [0.02, 0.3])
+def test_all_other_points_are_at_least_so_far(rng, device, radius, slack):
+    points = rng.uniform(size=(400, 3)).astype(np.float32)
+    points[:40] = points[40:80]  # some are there twice
+    queries = rng.uniform(-0.1, 1.1, size=(300, 3)).astype(np.float32)
+    grid = build(points, 0.1, device)
+    found = wp.zeros(len(queries), dtype=wp.vec3, device=device)
+    on_device = wp.array(queries, dtype=wp.vec3, device=device)
+    wp.launch(
+        _others, dim=len(queries), inputs=[grid, on_device, radius, slack], outputs=[found], device=device
+    )
+    j, d2, others2 = found.numpy().T
+    places, same = nearest(grid, queries, radius, device)
+    order = grid.indices.numpy()
+    np.testing.assert_array_equal(np.where(j < 0, -1, order[j.astype(int)]), places)
+    np.testing.assert_array_equal(np.where(j < 0, np.inf, d2), same)
+    two = np.sort(((queries[:, None].astype(np.float64) - points) ** 2).sum(axis=2), axis=1)[:, :2]
+    second = np.where(j < 0, two[:, 0], two[:, 1])
+    assert (others2 <= second * (1 + 1e-5) + 1e-12).all()
+    looked = np.minimum(np.where(j < 0, radius, np.sqrt(two[:, 0]) + slack), radius) ** 2
+    np.testing.assert_allclose(others2, np.minimum(second, looked), rtol=1e-5, atol=1e-12)
 
 
 @settings(max_examples=25)
