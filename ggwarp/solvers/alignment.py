@@ -143,11 +143,11 @@ class Aligner:
         self._colour_noise, self._agreement, self._depth_noise = colour_noise, agreement, 0.0
         self._observed = self._empty_levels()
         self._rendered: Reference | None = None
+        piece = alignment.piece_length(self._device)
+        strides = [math.ceil((c.width * c.height / _ENOUGH) ** 0.5) for c in self.cameras]
         self._sizes = [
-            alignment.AlignmentSize(
-                intrinsics_of(c), c.height, c.width, math.ceil((c.width * c.height / _ENOUGH) ** 0.5)
-            )
-            for c in self.cameras
+            alignment.AlignmentSize(intrinsics_of(c), c.height, c.width, stride, piece)
+            for c, stride in zip(self.cameras, strides, strict=True)
         ]
         if recorded is None:
             recorded = self._device.is_cuda and wp.is_conditional_graph_supported()

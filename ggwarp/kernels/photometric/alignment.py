@@ -28,16 +28,12 @@ from ggwarp.runtime.launch import launch_split
 
 wp.set_module_options({"enable_backward": False})
 
-PIECE = 64
-"""Pixels of a row, of those that count, that one thread sums."""
-
 PARAMETERS = 8
 """tau (6), a, b."""
 
 FOLDED = 128
 """Rows that many rows of sums are folded to first."""
 
-_PIECE = wp.constant(PIECE)
 _NEAR = wp.constant(0.05)
 
 
@@ -82,17 +78,19 @@ class AlignmentSize:
     Attributes:
         camera: the device's struct; height, width: its picture's.
         stride: every so many-th pixel of a row and a column counts, from the ``stride // 2``-th on.
+        piece: pixels of a row, of those that count, that one thread sums; see :func:`piece_length`.
     """
 
     camera: CameraIntrinsics
     height: int
     width: int
     stride: int = 1
+    piece: int = 64
 
     @property
     def pieces(self) -> int:
         """Pieces of a row."""
-        return -(-len(range(self.stride // 2, self.width, self.stride)) // PIECE)
+        return -(-len(range(self.stride // 2, self.width, self.stride)) // self.piece)
 
     @property
     def items(self) -> int:
@@ -136,6 +134,7 @@ def _linearise(
     offset: int,
     items: int,
     pieces: int,
+    length: int,
     stride: int,
     size: int,
     camera: CameraIntrinsics,
@@ -160,8 +159,8 @@ def _linearise(
     bias = float(exposures[reference][1])
     row = stride / 2 + line * stride
     total = vec46()
-    begin = stride / 2 + piece * _PIECE * stride
-    end = wp.min(begin + _PIECE * stride, rendered.shape[1] - 1)
+    begin = stride / 2 + piece * length * stride
+    end = wp.min(begin + length * stride, rendered.shape[1] - 1)
     if row == 0 or row >= rendered.shape[0] - 1:
         end = begin
     ray_y = (float(row) - camera.cy) / camera.fy
@@ -225,6 +224,11 @@ def _reduce(sums: wp.array2d[float], items: int, systems: wp.array2d[wp.float64]
     systems[reference, k] = total
 
 
+def piece_length(device: Any) -> int:
+    """Return how many pixels of a row one thread sums: on a CPU a whole row, that there is less to add."""
+    return 256 if wp.get_device(device).is_cpu else 64
+
+
 def folds(items: int, device: Any) -> bool:
     """Return whether rows are added in two steps: where many threads would wait for few."""
     return items > 2 * FOLDED and not wp.get_device(device).is_cpu
@@ -244,7 +248,7 @@ def linearise(
         _linearise,
         references * items,
         inputs=[
-            items, size.pieces, size.stride, level, size.camera,
+            items, size.pieces, size.piece, size.stride, level, size.camera,
             a.problem, a.views, a.origins, a.T_cw, a.exposures,
         ],
         outputs=[a.sums],

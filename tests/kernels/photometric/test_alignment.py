@@ -78,8 +78,9 @@ def system(
     depth_noise: float = 0.0,
     agreement: float = 0.0,
     stride: int = 1,
+    piece: int = 64,
 ) -> np.ndarray:
-    size = alignment.AlignmentSize(intrinsics_of(CAMERA), *rendered.shape[:2], stride)
+    size = alignment.AlignmentSize(intrinsics_of(CAMERA), *rendered.shape[:2], stride, piece)
     comparison = Comparison(NOISE, depth_noise, ROBUST, EDGE, agreement)
     arrays = AlignmentLoopArrays(2, [size], device)
     arrays.loop.folded.fill_(7.0)
@@ -133,6 +134,15 @@ def test_sums_in_two_steps_are_those_in_one(
         np.testing.assert_allclose(two, one, rtol=1e-12, atol=1e-12 * np.abs(one).max())
     size = alignment.AlignmentSize(intrinsics_of(CAMERA), *big[0].shape[:2])
     assert size.items > alignment.FOLDED
+
+
+@pytest.mark.parametrize("piece", [1, 7, 256])
+@pytest.mark.parametrize("stride", [1, 3])
+def test_pieces_of_any_length_sum_the_same_pixels(device, rng, stride: int, piece: int) -> None:
+    pair = views(rng)
+    expected = system(*pair, MOTION, device, 0.02, stride=stride)
+    found = system(*pair, MOTION, device, 0.02, stride=stride, piece=piece)
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("stride", [2, 3, 5, 100])
