@@ -46,6 +46,9 @@ _LEAST_PIXELS = 10 * alignment.PARAMETERS
 _ENOUGH = 20_000
 """Pixels of a size that are compared, at most: the errors of neighbours are alike, see ``INDEPENDENCE``."""
 
+_ENOUGH_TO_START = _ENOUGH // 4
+"""Of coarser sizes: where the finest one starts is then twice as uncertain, still far less than a pixel."""
+
 _COLOUR_NOISE = 0.05
 """Standard deviation of a colour, 0..1."""
 
@@ -144,7 +147,9 @@ class Aligner:
         self._observed = self._empty_levels()
         self._rendered: Reference | None = None
         piece = alignment.piece_length(self._device)
-        strides = [math.ceil((c.width * c.height / _ENOUGH) ** 0.5) for c in self.cameras]
+        most = [_ENOUGH] * (self._finest + 1) + [_ENOUGH_TO_START] * (_LEVELS - 1)
+        sizes = [c.width * c.height for c in self.cameras]
+        strides = [math.ceil((size / enough) ** 0.5) for size, enough in zip(sizes, most, strict=True)]
         self._sizes = [
             alignment.AlignmentSize(intrinsics_of(c), c.height, c.width, stride, piece)
             for c, stride in zip(self.cameras, strides, strict=True)
