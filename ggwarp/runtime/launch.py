@@ -69,6 +69,10 @@ def block_size(kernel: Any) -> int:
     return kernel.module.options["block_dim"]
 
 
+Work = Callable[[], None]
+"""A launch, or several, to be done as often as it is called."""
+
+
 def launch_split(
     kernel: Any,
     count: int,
@@ -90,42 +94,74 @@ def launch_split(
         device: a Warp device.
         min_piece: do not make pieces of fewer items than this.
     """
+    prepared_split(kernel, count, inputs=inputs, outputs=outputs, device=device, min_piece=min_piece)()
+
+
+def prepared(kernel: Any, dim: Any, *, inputs: list[Any], outputs: list[Any] = [], device: Any) -> Work:  # noqa: B006
+    """Return a launch of ``kernel``, for loops: its arguments are packed once, which takes the longest.
+
+    Numbers are kept by value, arrays by address.
+    """
+    block_dim = block_size(kernel)
+    launch: Any = wp.launch(
+        kernel, dim=dim, inputs=inputs, outputs=outputs, device=device, block_dim=block_dim, record_cmd=True
+    )
+    return launch.launch
+
+
+def prepared_split(
+    kernel: Any,
+    count: int,
+    *,
+    inputs: list[Any],
+    outputs: list[Any] = [],  # noqa: B006 - never mutated
+    device: Any,
+    min_piece: int = _MIN_PIECE,
+) -> Work:
+    """Return what :func:`launch_split` does, with as many threads as there are now; see :func:`prepared`."""
     if count <= 0:
-        return
+        return lambda: None
     device = wp.get_device(device)
     threads = min(cpu_threads(), count // max(min_piece, 1)) if device.is_cpu else 1
     if threads <= 1 or device.is_capturing:
-        wp.launch(
-            kernel,
-            dim=count,
-            inputs=[0, *inputs],
-            outputs=outputs,
-            device=device,
-            block_dim=block_size(kernel),
-        )
-        return
+        return prepared(kernel, count, inputs=[0, *inputs], outputs=outputs, device=device)
     # Load the module here: two threads must not compile it at once. CPU launches run with blocks of one;
     # loading for another block size would compile the module a second time.
     kernel.module.load(device, block_dim=1)
-    pieces = deque(_cut(count, threads, min_piece))
     # Arguments are packed once: that holds the interpreter's lock for longer than all else here.
     packed: Any = wp.launch(
         kernel, dim=count, inputs=[0, *inputs], outputs=outputs, device=device, record_cmd=True
     )
+    cut = _cut(count, threads, min_piece)
 
-    def work() -> None:
-        command = copy(packed)
-        command.params, command.fwd_args = list(packed.params), list(packed.fwd_args)
-        while pieces:
-            try:
-                begin, size = pieces.popleft()
-            except IndexError:  # another thread was faster
-                return
-            command.set_param_at_index(0, begin)
-            command.set_dim(size)
-            command.launch()
+    def split() -> None:
+        pieces = deque(cut)
 
-    _run_on_threads(work, threads)
+        def work() -> None:
+            command = copy(packed)
+            command.params, command.fwd_args = list(packed.params), list(packed.fwd_args)
+            while pieces:
+                try:
+                    begin, size = pieces.popleft()
+                except IndexError:  # another thread was faster
+                    return
+                command.set_param_at_index(0, begin)
+                command.set_dim(size)
+                command.launch()
+
+        _run_on_threads(work, threads)
+
+    return split
+
+
+def in_turn(*work: Work) -> Work:
+    """Return work that does some one after another."""
+
+    def all_of_it() -> None:
+        for one in work:
+            one()
+
+    return all_of_it
 
 
 def _run_on_threads(work: Callable[[], None], threads: int) -> None:

@@ -11,7 +11,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ggwarp.kernels.registration import gicp
-from ggwarp.runtime.launch import _cut, cpu_thread_limit, cpu_threads, launch_split, set_cpu_threads
+from ggwarp.runtime.launch import (
+    _cut,
+    cpu_thread_limit,
+    cpu_threads,
+    in_turn,
+    launch_split,
+    prepared,
+    prepared_split,
+    set_cpu_threads,
+)
 
 wp.set_module_options({"enable_backward": False})
 
@@ -46,8 +55,13 @@ class Elsewhere:
 @pytest.mark.parametrize("kernel", [_count_up, gicp._linearise])
 def test_on_a_gpu_blocks_are_those_that_the_module_is_compiled_for(monkeypatch, kernel):
     launches = []
+
+    class Command:
+        def __init__(self, block_dim):
+            self.launch = lambda: launches.append(block_dim)
+
     monkeypatch.setattr(wp, "get_device", lambda device: device)
-    monkeypatch.setattr(wp, "launch", lambda kernel, **options: launches.append(options["block_dim"]))
+    monkeypatch.setattr(wp, "launch", lambda kernel, **options: Command(options["block_dim"]))
     launch_split(kernel, 100, inputs=[], device=Elsewhere())
     assert launches == [kernel.module.options["block_dim"]]
     assert gicp._linearise.module.options["block_dim"] == 64
@@ -70,6 +84,28 @@ def test_every_item_is_taken_once(count, min_piece):
     set_cpu_threads(3)
     assert np.array_equal(counted(count, min_piece=min_piece), np.arange(count))
     set_cpu_threads(before)
+
+
+def test_a_prepared_launch_is_done_as_often_as_it_is_called(three_threads):
+    """Whole and in pieces."""
+    out = wp.zeros(1000, dtype=int, device="cpu")
+    more = {"outputs": [out], "device": "cpu"}
+    whole = prepared(_count_up, 1000, inputs=[0, 3], **more)
+    for work in (whole, prepared_split(_count_up, 1000, inputs=[3], min_piece=10, **more)):
+        out.zero_()
+        for times in (1, 2, 3):
+            work()
+            assert np.array_equal(out.numpy(), times * (np.arange(1000) + 3))
+    prepared_split(_count_up, 0, inputs=[3], **more)()
+    assert np.array_equal(out.numpy(), 3 * (np.arange(1000) + 3))
+
+
+def test_work_is_done_in_turn():
+    done = []
+    work = in_turn(lambda: done.append(1), lambda: done.append(2))
+    work()
+    work()
+    assert done == [1, 2, 1, 2]
 
 
 def test_callers_may_launch_at_once(three_threads):

@@ -24,7 +24,7 @@ from ggwarp.kernels.camera import CameraIntrinsics
 from ggwarp.kernels.math import mat66d
 from ggwarp.kernels.photometric.alignment_pixels import SUMS, add_depth, add_pixel, surface_normal, vec46
 from ggwarp.kernels.rigid import rotation_d, single_matrix, translation_d
-from ggwarp.runtime.launch import launch_split
+from ggwarp.runtime.launch import Work, in_turn, prepared, prepared_split
 
 wp.set_module_options({"enable_backward": False})
 
@@ -237,14 +237,21 @@ def folds(items: int, device: Any) -> bool:
 def linearise(
     arrays: AlignmentArrays, *, level: int, size: AlignmentSize, references: int, device: Any
 ) -> None:
-    """Sum each reference's normal equations of all residuals, at robust weights, to ``systems``.
+    """Sum the normal equations; see :func:`linearisation`."""
+    linearisation(arrays, level=level, size=size, references=references, device=device)()
+
+
+def linearisation(
+    arrays: AlignmentArrays, *, level: int, size: AlignmentSize, references: int, device: Any
+) -> Work:
+    """Return what sums each reference's normal equations of all residuals, at robust weights, to ``systems``.
 
     Args:
         level: the size's place in ``views``.
         references: how many there are: the first rows.
     """
     a, items, shape = arrays, size.items, (references, SUMS)
-    launch_split(
+    residuals = prepared_split(
         _linearise,
         references * items,
         inputs=[
@@ -255,9 +262,11 @@ def linearise(
         device=device,
         min_piece=32,
     )  # fmt: skip
-    if folds(items, device):
-        dim = references, FOLDED, SUMS
-        wp.launch(_fold, dim=dim, inputs=[a.sums, items], outputs=[a.folded], device=device)
-        wp.launch(_add, dim=shape, inputs=[a.folded], outputs=[a.systems], device=device)
-    else:
-        wp.launch(_reduce, dim=shape, inputs=[a.sums, items], outputs=[a.systems], device=device)
+    rows = [a.sums, items]
+    if not folds(items, device):
+        return in_turn(residuals, prepared(_reduce, shape, inputs=rows, outputs=[a.systems], device=device))
+    return in_turn(
+        residuals,
+        prepared(_fold, (references, FOLDED, SUMS), inputs=rows, outputs=[a.folded], device=device),
+        prepared(_add, shape, inputs=[a.folded], outputs=[a.systems], device=device),
+    )

@@ -14,8 +14,14 @@ from typing import Any
 import warp as wp
 
 from ggwarp.kernels.math import mat66d, solve_positive
-from ggwarp.kernels.photometric.alignment import AlignmentArrays, AlignmentProblem, AlignmentSize, linearise
+from ggwarp.kernels.photometric.alignment import (
+    AlignmentArrays,
+    AlignmentProblem,
+    AlignmentSize,
+    linearisation,
+)
 from ggwarp.kernels.rigid import se3_exp, se3_log
+from ggwarp.runtime.launch import Work, in_turn, prepared
 
 wp.set_module_options({"enable_backward": False})
 
@@ -163,17 +169,17 @@ def update_pose(arrays: AlignmentArrays, rules: StepRules, *, references: int, d
 
     A matrix that fixes no pose leaves it; too few pixels leave all.
     """
+    _update(arrays, rules, references, device)()
+
+
+def _update(arrays: AlignmentArrays, rules: StepRules, references: int, device: Any) -> Work:
     a, r = arrays, rules
-    wp.launch(
-        _update_kernel,
-        dim=1,
-        inputs=[
-            references, r.share, r.exposure_precision, r.deviation_share * r.settled**2, r.least_pixels,
-            a.problem, a.systems,
-        ],
-        outputs=[a.T_cw, a.exposures, a.state],
-        device=device,
-    )  # fmt: skip
+    inputs = [
+        references, r.share, r.exposure_precision, r.deviation_share * r.settled**2, r.least_pixels,
+        a.problem, a.systems,
+    ]  # fmt: skip
+    outputs = [a.T_cw, a.exposures, a.state]
+    return prepared(_update_kernel, 1, inputs=inputs, outputs=outputs, device=device)
 
 
 def run_size(
@@ -193,9 +199,9 @@ def run_size(
         level: the size's place in ``arrays.views``.
     """
 
-    def step() -> None:
-        linearise(arrays, level=level, size=size, references=references, device=device)
-        update_pose(arrays, rules, references=references, device=device)
-
+    step = in_turn(
+        linearisation(arrays, level=level, size=size, references=references, device=device),
+        _update(arrays, rules, references, device),
+    )
     wp.launch(_begin_kernel, dim=1, inputs=[rules.iterations], outputs=[arrays.state], device=device)
     wp.capture_while(arrays.state[ACTIVE : ACTIVE + 1], step)

@@ -21,7 +21,7 @@ import warp as wp
 
 from ggwarp.kernels.registration.hash_grid import HashGrid, nearest_and_others
 from ggwarp.kernels.rigid import matrix_to_double, rotation_d, to_double, translation_d
-from ggwarp.runtime.launch import block_size, launch_split
+from ggwarp.runtime.launch import Work, in_turn, launch_split, prepared, prepared_split
 
 # A frame has some ten thousand points, a thread each with two hundred registers: small blocks reach all
 # multiprocessors.
@@ -238,7 +238,12 @@ def block_count(n: int, device: Any) -> int:
     return -(-n // points_per_block(device))
 
 
-def linearise(
+def linearise(problem: Any, stages: Any, **more: Any) -> None:
+    """Match the points to the map and sum the normal equations; see :func:`linearisation`."""
+    linearisation(problem, stages, **more)()
+
+
+def linearisation(
     problem: Any,
     stages: Any,
     *,
@@ -249,8 +254,8 @@ def linearise(
     folded: Any,
     system: Any,
     device: Any,
-) -> None:
-    """Match the points to the map and sum the normal equations H xi = g of the pairs.
+) -> Work:
+    """Return what matches the points to the map and sums the normal equations H xi = g of the pairs.
 
     Args:
         problem: [1] :class:`Problem`, the grid built, its covariances in the grid's order.
@@ -262,7 +267,7 @@ def linearise(
         folded: [F, SUMS] float64, scratch.
         system: [SUMS] float64, written; see :data:`SUMS`.
     """
-    sum_blocks(
+    return sum_of_blocks(
         _linearise,
         block_count(count, device),
         inputs=[problem, stages, stage, points_per_block(device), pose],
@@ -273,25 +278,13 @@ def linearise(
     )
 
 
-def sum_blocks(
+def sum_of_blocks(
     kernel: Any, rows: int, *, inputs: list[Any], sums: Any, folded: Any, system: Any, device: Any
-) -> None:
-    launch_split(kernel, rows, inputs=inputs, outputs=[sums], device=device, min_piece=4)
+) -> Work:
+    """Return what writes a row of ``sums`` a block, and their sum."""
+    work = [prepared_split(kernel, rows, inputs=inputs, outputs=[sums], device=device, min_piece=4)]
     if rows > FOLDED * 8:
-        wp.launch(
-            _fold,
-            dim=folded.shape,
-            inputs=[sums, rows],
-            outputs=[folded],
-            device=device,
-            block_dim=block_size(_fold),
-        )
+        work.append(prepared(_fold, folded.shape, inputs=[sums, rows], outputs=[folded], device=device))
         sums, rows = folded, folded.shape[0]
-    wp.launch(
-        _reduce,
-        dim=SUMS,
-        inputs=[sums, rows],
-        outputs=[system],
-        device=device,
-        block_dim=block_size(_reduce),
-    )
+    work.append(prepared(_reduce, SUMS, inputs=[sums, rows], outputs=[system], device=device))
+    return in_turn(*work)

@@ -12,8 +12,9 @@ from typing import Any
 import warp as wp
 
 from ggwarp.kernels.math import mat66d, solve_positive, vec6d
-from ggwarp.kernels.registration.gicp import StageSettings, linearise
+from ggwarp.kernels.registration.gicp import StageSettings, linearisation
 from ggwarp.kernels.rigid import orthonormalised, se3_exp
+from ggwarp.runtime.launch import Work, in_turn, prepared
 
 wp.set_module_options({"enable_backward": False})
 
@@ -94,13 +95,13 @@ def update_pose(arrays: LoopArrays, *, stage: int, damping: float = 0.0, device:
     Args:
         damping: Levenberg-Marquardt's relative damping.
     """
-    wp.launch(
-        _update_kernel,
-        dim=1,
-        inputs=[arrays.stages, stage, damping, arrays.system],
-        outputs=[arrays.pose, arrays.progress, arrays.state],
-        device=device,
-    )
+    _update(arrays, stage, damping, device)()
+
+
+def _update(arrays: LoopArrays, stage: int, damping: float, device: Any) -> Work:
+    inputs = [arrays.stages, stage, damping, arrays.system]
+    outputs = [arrays.pose, arrays.progress, arrays.state]
+    return prepared(_update_kernel, 1, inputs=inputs, outputs=outputs, device=device)
 
 
 def run_stage(arrays: LoopArrays, *, stage: int, count: int, device: Any) -> None:
@@ -112,8 +113,8 @@ def run_stage(arrays: LoopArrays, *, stage: int, count: int, device: Any) -> Non
         count: at least the points that the stage uses.
     """
 
-    def step() -> None:
-        linearise(
+    step = in_turn(
+        linearisation(
             arrays.problem,
             arrays.stages,
             stage=stage,
@@ -123,8 +124,8 @@ def run_stage(arrays: LoopArrays, *, stage: int, count: int, device: Any) -> Non
             folded=arrays.folded,
             system=arrays.system,
             device=device,
-        )
-        update_pose(arrays, stage=stage, device=device)
-
+        ),
+        _update(arrays, stage, 0.0, device),
+    )
     wp.launch(_begin_kernel, dim=1, inputs=[arrays.stages, stage], outputs=[arrays.state], device=device)
     wp.capture_while(arrays.state[ACTIVE : ACTIVE + 1], step)

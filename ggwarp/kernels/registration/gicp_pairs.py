@@ -15,7 +15,7 @@ from ggwarp.kernels.registration.gicp import (
     matched_pair,
     points_per_block,
     robust_weight,
-    sum_blocks,
+    sum_of_blocks,
     vec29d,
 )
 from ggwarp.kernels.rigid import matrix_to_double, to_double
@@ -127,7 +127,7 @@ def fix_across(
         count: at least the problem's points.
         system: [SUMS] float64, written: as H there, the rest 0. Not positive definite where nothing is seen.
     """
-    sum_blocks(
+    sum_of_blocks(
         _fix_across,
         block_count(count, device),
         inputs=[problem, stages, stage, points_per_block(device), pose],
@@ -135,4 +135,4 @@ def fix_across(
         folded=folded,
         system=system,
         device=device,
-    )
+    )()
