@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -60,6 +61,7 @@ class PackedArrays:
         return {name: np.ndarray(shape, row, image, at) for name, (row, shape, at) in self._places.items()}
 
 
+@cache
 def numpy_type(dtype: Any) -> np.dtype[Any]:
     """Return the NumPy type of a Warp scalar, vector, matrix or struct."""
     if hasattr(dtype, "numpy_dtype"):
