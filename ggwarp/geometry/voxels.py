@@ -3,14 +3,19 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from ggwarp.geometry.distinct import ranked
+from ggwarp.geometry.distinct import counted, ranked
 from ggwarp.types import Float64
 
 _BITS = 20  # of a voxel's key along each axis
 _OFFSET = 1 << (_BITS - 1)
+_SHORT = 1 << 31  # numbers below fit in 32 bits
 
 
 def voxel_keys(points: Float64, size: float) -> NDArray[np.int64]:
@@ -27,23 +32,49 @@ def _keys(cells: NDArray[np.int64]) -> NDArray[np.int64]:
     return (x << 2 * _BITS) | (y << _BITS) | z
 
 
-def ranked_voxels(points: NDArray[np.floating], size: float) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
-    """Return [m] the keys, rising, of the voxels that ``points`` [3, k] lie in, and [k] which each lies in.
+def labelled_voxels(
+    points: NDArray[np.floating], labels: NDArray[np.int32], size: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Count points by their label and the voxel that they lie in.
 
-    As :func:`voxel_keys` and then :func:`ggwarp.geometry.distinct.ranked`, several times as fast in a room.
+    Args:
+        points: [3, k] metres.
+        labels: [k] below 2^26; points whose label is negative are left out.
+        size: of a voxel, metres.
+
+    Returns:
+        [m] the label and the key (see :func:`voxel_keys`) of each pair that is there, by label and then by
+        key, and how many points have it.
     """
-    cells = np.floor(points * points.dtype.type(1.0 / size)).astype(np.int64)
-    if not cells.size:
-        return np.zeros(0, np.int64), np.zeros(0, np.intp)
-    first, last = cells.min(axis=1), cells.max(axis=1)
-    if first.min() < -_OFFSET or last.max() >= _OFFSET:
-        return ranked(_keys(cells))
-    _, rows, columns = (last - first + 1).tolist()
-    x, y, z = cells - first[:, None]
-    places, ranks = ranked((x * rows + y) * columns + z)
-    places, z = np.divmod(places, columns)
-    x, y = np.divmod(places, rows)
-    return _keys(np.stack([x, y, z]) + first[:, None]), ranks
+    if not labels.size:
+        return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, np.int64)
+    numbers, voxels, keys_of = _numbered(np.floor(points * points.dtype.type(1.0 / size)))
+    # Short numbers are sorted in half the time.
+    kind = np.int32 if voxels * (int(labels.max()) + 1) < _SHORT else np.int64
+    pairs, counts = counted(np.maximum(labels, -1).astype(kind) * kind(voxels) + numbers.astype(kind))
+    known = np.searchsorted(pairs, 0)
+    owners, chosen = np.divmod(pairs[known:].astype(np.int64), voxels)
+    return owners, keys_of(chosen), counts[known:]
+
+
+def _numbered(
+    cells: NDArray[np.floating],
+) -> tuple[NDArray[Any], int, Callable[[NDArray[np.int64]], NDArray[np.int64]]]:
+    """Return [k] a number for each of ``cells`` [3, k], how many there are, and what gives numbers' keys.
+
+    Numbers rise with the keys. They are those of a box round all cells, if it is no larger than a building.
+    """
+    low, high = cells.min(axis=1), cells.max(axis=1)
+    if low.min() >= -_OFFSET and high.max() < _OFFSET:
+        first = low.astype(np.int64)[:, None]
+        shape = tuple((high.astype(np.int64) - first[:, 0] + 1).tolist())
+        if (count := math.prod(shape)) < _SHORT:
+            x, y, z = (cells - low[:, None]).astype(np.int32)
+            numbers = (x * shape[1] + y) * shape[2] + z
+            return numbers, count, lambda some: _keys(np.stack(np.unravel_index(some, shape)) + first)
+    with np.errstate(invalid="ignore"):  # points that are nowhere
+        keys, numbers = ranked(_keys(cells.astype(np.int64)))
+    return numbers, len(keys), lambda some: keys[some]
 
 
 def voxel_centres(keys: NDArray[np.int64], size: float) -> Float64:

@@ -131,7 +131,7 @@ class ClassTable(Stateful):
         table[-1] = IGNORED
         for index, owner in self._shares_id_of.items():
             table[index] = owner
-        return self.merged(table[classes])
+        return self.merged(table)[classes]
 
     def same_mask_id(self, one: int, other: int) -> bool:
         """Whether a mask's id stands for the objects of both classes."""

@@ -20,9 +20,10 @@ def contingency(rows: Labels, columns: Labels, classes: int) -> NDArray[np.int64
     Pixels unknown in either are left out.
     """
     size = classes + 1  # unknown ones, first, are counted and dropped: faster than choosing the others
-    pairs = (np.maximum(rows, _UNKNOWN) - _UNKNOWN).astype(np.intp).ravel() * size
-    pairs += (np.maximum(columns, _UNKNOWN) - _UNKNOWN).ravel()
-    return np.bincount(pairs, minlength=size * size).reshape(size, size)[1:, 1:]
+    pairs = np.multiply(np.maximum(rows, _UNKNOWN), size, dtype=np.intp)
+    pairs += np.maximum(columns, _UNKNOWN)
+    pairs += size + 1
+    return np.bincount(pairs.ravel(), minlength=size * size).reshape(size, size)[1:, 1:]
 
 
 def as_runs(labels: Labels) -> NDArray[np.uint16]:
@@ -64,13 +65,13 @@ def filled(labels: Labels) -> Labels:
 
 
 def solid(labels: Labels) -> NDArray[np.bool_]:
-    """Return [h, w] where ``labels`` are neither dots nor strips, such as ragged edges leave.
+    """Return [h, w] where ``labels``, -1 to 65534, are neither dots nor strips, such as ragged edges leave.
 
     That is within a few pixels of one whose surroundings all have its label.
     """
     radius = max(2, round(_EDGE * labels.shape[1]))
     kernel = np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
-    values = labels.astype(np.float32)
+    values = (labels - _UNKNOWN).astype(np.uint16)
     inner = cv2.erode(values, kernel) == cv2.dilate(values, kernel)
     if not inner.any():
         return inner
@@ -80,11 +81,9 @@ def solid(labels: Labels) -> NDArray[np.bool_]:
 
 def _nearest(labels: Labels, among: NDArray[np.bool_]) -> tuple[Labels, NDArray[np.float32]]:
     """Return the label of the nearest of the pixels ``among`` [h, w], at least one, and its distance."""
-    distances_and_nearest = cv2.distanceTransformWithLabels(
-        (~among).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    distances, nearest = cv2.distanceTransformWithLabels(
+        (~among).view(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )
-    distances, nearest = (np.asarray(image) for image in distances_and_nearest)
-    nearest = nearest.astype(np.int32)
-    table = np.zeros(int(nearest.max()) + 1, np.int32)
-    table[nearest[among]] = labels[among]
-    return table[nearest], distances.astype(np.float32)
+    # Pixels are numbered from 1 on, row by row.
+    numbered = np.append(np.int32(_UNKNOWN), labels[among])
+    return numbered.take(np.asarray(nearest, np.int32)), np.asarray(distances, np.float32)

@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggwarp.geometry.boxes import linked_parts
-from ggwarp.geometry.distinct import counted
-from ggwarp.geometry.voxels import ranked_voxels, voxel_centres
+from ggwarp.geometry.voxels import labelled_voxels, voxel_centres
 from ggwarp.objects.class_table import IGNORED, ClassTable
 from ggwarp.objects.labels import solid
 from ggwarp.objects.masks.mask_view import MaskView
@@ -77,10 +76,10 @@ class _Part:
 
     def take(self, other: _Part) -> None:
         self.views += 1
-        if not other._keys <= self._keys:
+        if new := other._keys - self._keys:
             self.__dict__.pop("diameter", None)  # it grows
-            self._keys.update(other._keys)
-            self.voxels = np.union1d(self.voxels, other.voxels)
+            self._keys.update(new)
+            self.voxels = np.append(self.voxels, np.fromiter(new, np.int64))
 
 
 class SharedIdSplitter(Stateful):
@@ -146,13 +145,11 @@ class SharedIdSplitter(Stateful):
             known = mask.knowledge.known
             pixels &= (known < 0) | (self._classes.id_owners(known) == given)
         least = _LEAST_AREA * given.size
-        inside = np.flatnonzero(pixels)
-        places_seen, ranks = ranked_voxels(surface.places.take(inside, axis=1), _VOXEL)
-        numbers = max(len(places_seen), 1)
-        pairs, pixels_of = counted(given.ravel()[inside].astype(np.int64) * numbers + ranks)
-        labels, begins = np.unique(pairs // numbers, return_index=True)
-        for label, own in zip(labels.tolist(), np.split(np.arange(len(pairs)), begins[1:]), strict=False):
-            places, counts = places_seen[pairs[own] % numbers], pixels_of[own]
+        seen = np.where(pixels, given, np.int32(IGNORED)).ravel()
+        owners, keys, pixels_of = labelled_voxels(surface.places, seen, _VOXEL)
+        begins = np.flatnonzero(np.diff(owners, prepend=IGNORED)).tolist()
+        for begin, end in zip(begins, [*begins[1:], len(owners)], strict=False):
+            label, places, counts = int(owners[begin]), keys[begin:end], pixels_of[begin:end]
             for members in self._parts_of(places):
                 if counts[members].sum() >= least:
                     yield label, _Part(places[members])

@@ -16,9 +16,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ggwarp.geometry.distinct import counted, ranked
-from ggwarp.geometry.voxels import ranked_voxels, voxel_keys
-from ggwarp.objects.class_table import NO_OBJECT, ClassTable
+from ggwarp.geometry.voxels import labelled_voxels, voxel_keys
+from ggwarp.objects.class_table import IGNORED, NO_OBJECT, ClassTable
 from ggwarp.objects.labels import Labels, as_runs, contingency, from_runs
 from ggwarp.objects.masks.mask_view import MaskView
 from ggwarp.runtime.state import Stateful
@@ -90,16 +89,15 @@ class LabelHistory(Stateful):
         Arguments as of :meth:`correct`.
         """
         assert mask.knowledge is not None
-        surface, known, given = mask.surface, mask.knowledge.known, mask.labels
-        pixels = np.flatnonzero((known >= 0) & (given >= 0) & (surface.depth > 0.0))
-        objects, labels = known.ravel()[pixels], given.ravel()[pixels]
-        table = contingency(objects, labels, max(objects.max(initial=0), labels.max(initial=0)) + 1)
+        known = np.where(mask.surface.depth > 0.0, mask.knowledge.known, np.int32(IGNORED))
+        given = mask.labels
+        table = contingency(known, given, int(max(known.max(), given.max(), 0)) + 1)
         sizes, usual = table.sum(axis=1), table.argmax(axis=1)
         differs = (usual != np.arange(len(table))) & (table.max(axis=1) > _MAJORITY * sizes)
         doubtful = np.flatnonzero(differs & (sizes >= _LEAST_PIXELS)).tolist()
         if not anew and not doubtful:
             return []
-        places = _places(surface.places.take(pixels, axis=1), objects, labels)
+        places = _places(mask.surface.places, known.ravel(), given.ravel())
         if anew:
             self._views.update(places.labelled)
         wrong: list[tuple[int, int]] = []
@@ -140,24 +138,22 @@ class _Places:
 
 
 def _places(points: Float32, objects: Labels, labels: Labels) -> _Places:
-    """Sort pixels, [n] each, by the voxel that they lie in; ``points`` [3, n], metres."""
-    numbers, ranks = ranked_voxels(points, _VOXEL)
-    size = int(max(objects.max(initial=0), labels.max(initial=0))) + 1
-    both, rank_of_both = ranked(objects.astype(np.int64) * size + labels)
-    keys, counts = counted(ranks * max(len(both), 1) + rank_of_both)
-    ranks, rank_of_both = np.divmod(keys, max(len(both), 1))
-    keys = ranks * size**2 + both[rank_of_both]
-    pairs, of_pair = np.unique(keys // size, return_inverse=True)
-    sizes = np.bincount(of_pair, counts, minlength=len(pairs)).astype(np.int64)
-    ranks, owners = np.divmod(pairs, size)
-    most = counts > _MAJORITY * sizes[of_pair]
-    labelled = zip(
-        numbers[ranks][of_pair[most]].tolist(),
-        owners[of_pair[most]].tolist(),
-        (keys[most] % size).tolist(),
-        strict=True,
-    )
-    return _Places(numbers[ranks], owners, sizes, list(labelled))
+    """Sort the pixels, [n] each, whose object and label are known by the voxels that they lie in.
+
+    Args:
+        points: [3, n] where they are, metres.
+    """
+    size = int(max(labels.max(), 0)) + 1
+    both = np.where(labels >= 0, objects * np.int32(size) + labels, np.int32(IGNORED))
+    pairs, keys, counts = labelled_voxels(points, both, _VOXEL)
+    owners, names = np.divmod(pairs, size)
+    voxels, ranks = np.unique(keys, return_inverse=True)
+    places, of_place = np.unique(owners * max(len(voxels), 1) + ranks, return_inverse=True)
+    sizes = np.bincount(of_place, counts, minlength=len(places)).astype(np.int64)
+    most = counts > _MAJORITY * sizes[of_place]
+    labelled = zip(keys[most].tolist(), owners[most].tolist(), names[most].tolist(), strict=True)
+    owners, ranks = np.divmod(places, max(len(voxels), 1))
+    return _Places(voxels[ranks], owners, sizes, list(labelled))
 
 
 def corrected(known: Labels, given: Labels, wrong: list[tuple[int, int]]) -> Labels:

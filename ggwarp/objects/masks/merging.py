@@ -122,7 +122,7 @@ def _covering_segments(known: Labels, labels: Labels, segments: Labels | None) -
         m: int(best[m]) for m in range(1, size) if seen[m] >= least and table[m, best[m]] > _COVERED * seen[m]
     }
     if numbered:
-        areas = np.bincount(segments[segments > 0], minlength=size)
+        areas = np.bincount((segments - IGNORED).ravel(), minlength=size + 1)[1:]
         for m in np.nonzero(areas >= least)[0].tolist():
             covers.setdefault(m, m)
     return covers
