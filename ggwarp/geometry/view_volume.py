@@ -89,13 +89,11 @@ class ViewVolume:
                 (1, c.fy, c.cy, c.height, ROWS),
             )
         )
-        reached = np.zeros(len(points), bool)
-        for row in range(ROWS):
-            for column in range(COLUMNS):
-                there = (first_row <= row) & (row <= last_row)
-                there &= (first_column <= column) & (column <= last_column)
-                reached |= there & (z - radii <= reach[..., row, column])
-        return reached
+        rows, columns = np.arange(ROWS), np.arange(COLUMNS)
+        down = (first_row[:, None] <= rows) & (rows <= last_row[:, None])
+        across = (first_column[:, None] <= columns) & (columns <= last_column[:, None])
+        reached = (z - radii)[:, None, None] <= reach
+        return np.any(reached & down[:, :, None] & across[:, None, :], axis=(1, 2))
 
 
 def _parts_of(

@@ -106,7 +106,10 @@ class Submaps(Stateful):
             bounded: whether it sees nothing beyond that; it may where depth is an estimate.
         """
         few = np.zeros(0) if depth is None else self._grid.thinned(depth)
-        middle = T_wc[:3, 3] + float(np.median(few[few > 0.0]) if (few > 0.0).any() else 0.0) * T_wc[:3, 2]
+        readings = few[few > 0.0]
+        half = len(readings) // 2  # the median, of one reading: of two it takes three times as long
+        distance = float(np.partition(readings, half)[half]) if len(readings) else 0.0
+        middle = T_wc[:3, 3] + distance * T_wc[:3, 2]
         reach = reach_of(depth) if bounded and depth is not None else same_reach(math.inf)
         number = self._looked_at(T_wc, reach, middle)
         if number is None:

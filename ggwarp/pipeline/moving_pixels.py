@@ -148,7 +148,7 @@ class MovingPixels(Stateful):
         self._ballot.vote(both_ways)
         self._recent.append(voter)
         masks = {v.number: _whole(v.moved(), depth.shape) for v in self._recent}
-        return {number: mask for number, mask in masks.items() if mask.any()}
+        return {number: mask for number, mask in masks.items() if mask is not None}
 
     def move(self, motion_of: Callable[[int], Float64]) -> None:
         """Let the recent views follow a correction: the motion [4, 4] of the world, by a view's number."""
@@ -174,15 +174,19 @@ class GonePixels(Stateful):
         Returns:
             Number -> [h, w] the pixels that are gone, of those older ones where any are by this vote.
         """
-        witness, changed = _voter(-1, depth, T_wc), dict[int, Bools]()
+        changed = dict[int, Bools]()
+        if not self._views:
+            return changed
+        witness = _voter(-1, depth, T_wc)
         views = [view for view in self._views if view.T_wc[:3, 2] @ T_wc[:3, 2] >= _SAME_SIDE]
         before = [view.moved() for view in views]
         for some in range(0, len(views), _AT_ONCE):
             self._ballot.vote([(view, witness) for view in views[some : some + _AT_ONCE]])
         for view, moved in zip(views, before, strict=True):
-            if (view.moved() & ~moved).any():
-                changed[view.number] = _whole(view.moved(), depth.shape)
-        return {number: pixels for number, pixels in changed.items() if pixels.any()}
+            now = view.moved()
+            if (now & ~moved).any() and (pixels := _whole(now, depth.shape)) is not None:
+                changed[view.number] = pixels
+        return changed
 
     def state(self) -> State:
         """Return the votes alone: the views are had again."""
@@ -229,7 +233,8 @@ class FreeSpace(Stateful):
         if not self._witnesses:
             return np.zeros(depth.shape, bool)
         said = self._ballot.ask([(view, witness) for witness in self._witnesses])
-        return _whole((said == THROUGH).any(axis=0), depth.shape)
+        moved = _whole((said == THROUGH).any(axis=0), depth.shape)
+        return np.zeros(depth.shape, bool) if moved is None else moved
 
     def add(self, depth: Float32, T_wc: Float64) -> None:
         """Let the last frame, ``depth`` [h, w] from ``T_wc`` [4, 4], testify from now on."""
@@ -265,13 +270,16 @@ def _stride(height: int, width: int) -> int:
     return max(_STRIDE, round((height * width / _VOTES) ** 0.5))
 
 
-def _whole(moved: Bools, shape: tuple[int, ...]) -> Bools:
-    """Return the mask of the pixels that vote [h, w] at full ``shape``, without specks and with a rim."""
+def _whole(moved: Bools, shape: tuple[int, ...]) -> Bools | None:
+    """Return the mask of the pixels that vote [h, w] at full ``shape``, without specks and with a rim.
+
+    None: there are none but specks.
+    """
     if not moved.any():
-        return np.zeros(shape, bool)
+        return None
     solid = cv2.morphologyEx(moved.view(np.uint8), cv2.MORPH_OPEN, _NEIGHBOURS)
     if not solid.any():
-        return np.zeros(shape, bool)
+        return None
     solid = cv2.dilate(solid, _NEIGHBOURS)
     return np.asarray(cv2.resize(solid, shape[::-1], interpolation=cv2.INTER_NEAREST)).view(bool)
 

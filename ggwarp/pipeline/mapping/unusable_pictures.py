@@ -94,10 +94,12 @@ def _explained(frame: Frame, rendered: Rendered) -> tuple[Float32, Float32] | No
     assert frame.depth is not None
     there = (rendered.opacity > _OPAQUE) & (frame.depth > 0.0)
     there &= np.abs(rendered.surface_depth - frame.depth) < _TOLERANCE * frame.depth
-    if np.mean(there) < _LEAST:
+    at = np.flatnonzero(there)  # ten times as fast as the mask itself where there are channels
+    if len(at) < _LEAST * there.size:
         return None
-    seen = frame.rgb[there].T.astype(np.float32) / np.float32(255.0)
-    return np.ascontiguousarray(seen), np.ascontiguousarray(rendered.rgb[there].T)
+    seen = np.ascontiguousarray(frame.rgb.reshape(-1, 3).take(at, axis=0).T)
+    known = np.ascontiguousarray(rendered.rgb.reshape(-1, 3).take(at, axis=0).T)
+    return np.asarray(seen.astype(np.float32) / np.float32(255.0), np.float32), known
 
 
 def _share_apart(seen: Float32, colours: NDArray[np.floating]) -> float:
