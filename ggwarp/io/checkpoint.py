@@ -18,7 +18,7 @@ from ggwarp.io.guarded import FileError, FileKind, check_file
 from ggwarp.io.printable import printable, shown
 from ggwarp.types import StoredArray
 
-FORMAT = 4
+FORMAT = 5
 """Grows when what a checkpoint holds changes, so that an older version would not understand it."""
 
 _CHECKPOINT = FileKind("a checkpoint", 64 << 30)
