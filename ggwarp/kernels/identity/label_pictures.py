@@ -15,9 +15,17 @@ wp.set_module_options({"enable_backward": False})
 
 
 @wp.func
-def _usual(mask: wp.array2d[wp.int32], row: int, column: int, usual: wp.array[wp.int32]) -> int:
-    """Return the label of a pixel's id; the first and the last of ``usual`` are for those beyond, too."""
-    return usual[wp.clamp(mask[row, column] + 1, 0, usual.shape[0] - 1)]
+def _run_at(pixel: int, run: int, ends: wp.array[wp.int32]) -> int:
+    """Return the run that has ``pixel``, which is ``run`` or a later one."""
+    while run < ends.shape[0] - 1 and ends[run] <= pixel:
+        run += 1
+    return run
+
+
+@wp.func
+def _usual(run: int, ids: wp.array[wp.uint16], usual: wp.array[wp.int32]) -> int:
+    """Return the label of a run's id; the last of ``usual`` is for those beyond, too."""
+    return usual[wp.min(int(ids[run]), usual.shape[0] - 1)]
 
 
 @wp.kernel
@@ -25,7 +33,9 @@ def _labels_kernel(
     offset: int,
     step: int,
     width: int,
-    mask: wp.array2d[wp.int32],
+    ids: wp.array[wp.uint16],
+    ends: wp.array[wp.int32],
+    first: wp.array[wp.int32],
     usual: wp.array[wp.int32],
     few: wp.array2d[wp.int32],
     others: wp.array2d[wp.int32],
@@ -39,12 +49,20 @@ def _labels_kernel(
     # What is left over goes with the last block of a row or column.
     i = wp.min(row / step, few.shape[0] - 1)
     middle = i * step + step / 2
+    run = int(0)
+    middle_run = int(0)
+    if ids:
+        run = first[row]
+        middle_run = first[middle]
     for column in range(width):
         j = wp.min(column / step, few.shape[1] - 1)
         own = few[i, j]
         label = own
-        if mask and _usual(mask, middle, j * step + step / 2, usual) == own:
-            label = _usual(mask, row, column, usual)
+        if ids:
+            run = _run_at(row * width + column, run, ends)
+            middle_run = _run_at(middle * width + j * step + step / 2, middle_run, ends)
+            if _usual(middle_run, ids, usual) == own:
+                label = _usual(run, ids, usual)
         if out:
             out[row, column] = label
         if out_others:
@@ -61,7 +79,7 @@ def _labels_kernel(
 def spread_labels(
     *,
     step: int,
-    mask: Any,
+    mask: tuple[Any, Any, Any],
     usual: Any,
     few: Any,
     out: Any,
@@ -75,7 +93,9 @@ def spread_labels(
 
     Args:
         step: the grid's: its pixels are every ``step``-th of a row and column, from the ``step // 2``-th on.
-        mask: [h, w] int, ids, not below -1; None: there is none, and each block has its grid pixel's label.
+        mask: its runs along rows: [r] uint16 id + 1, [r] int where in the picture, row after row, they end,
+            and [h] int the first of each row; or None each: there is none, and each block has its grid
+            pixel's label.
         usual: [k] int, the labels of ids from -1 on; the last is for those beyond, too.
         few: [gh, gw] int, the labels of the grid's pixels.
         out: [h, w] int, written; None: not asked for.
@@ -87,7 +107,7 @@ def spread_labels(
     launch_split(
         _labels_kernel,
         shape[0],
-        inputs=[step, shape[1], mask, usual, few, *others, without],
+        inputs=[step, shape[1], *mask, usual, few, *others, without],
         outputs=[out, *out_others],
         device=device,
     )

@@ -18,7 +18,7 @@ from ggwarp.geometry.distinct import ranked
 from ggwarp.geometry.pixel_grid import PixelGrid
 from ggwarp.kernels.identity.label_pictures import spread_labels
 from ggwarp.objects.class_table import IGNORED, ClassTable
-from ggwarp.objects.labels import Labels, as_runs, contingency, from_runs
+from ggwarp.objects.labels import Labels, as_runs, contingency, ends_of_runs, from_runs, packed_runs, runs_of
 from ggwarp.runtime.state import state_value
 
 _MOST_IDS = 65535
@@ -30,12 +30,12 @@ class MaskLabels:
     """The label of every pixel of a picture, by its mask and a grid.
 
     Attributes:
-        mask: [h, w] small ids, not below -1; None: there is no mask.
+        mask: [2, r] small ids as :func:`ggwarp.objects.labels.as_runs` has them; None: there is no mask.
         usual: [k] the label that ids from -1 on usually have; the last is for those beyond, too.
         votes: [gh, gw] the labels of the grid's pixels.
     """
 
-    mask: Labels | None
+    mask: NDArray[np.uint16] | None
     usual: Labels
     votes: Labels
 
@@ -45,40 +45,37 @@ class MaskLabels:
         nothing = np.full(2, IGNORED, np.int32)
         if mask is None or grid.step == 1:
             return MaskLabels(None, nothing, votes)
-        if mask.min() < -1 or mask.max() >= _MOST_IDS:
-            mask = ranked(mask)[1].astype(np.int32)
         few = grid.thinned(mask)
+        values, lengths = runs_of(mask)
+        if values.min() < -1 or values.max() >= _MOST_IDS:
+            distinct, ranks = ranked(values)
+            values, few = ranks.astype(np.int32), np.searchsorted(distinct, few)
         ids, ranks = ranked(few)
         known = np.maximum(votes, IGNORED) - IGNORED
         size = max(len(ids), int(known.max()) + 1)
         labels = contingency(ranks.astype(np.int32), known, size)[: len(ids)].argmax(axis=1) + IGNORED
         usual = np.full(int(ids[-1]) + 3, IGNORED, np.int32)  # from -1 to one more than the largest
         usual[ids + 1] = labels
-        return MaskLabels(mask, usual, votes)
+        return MaskLabels(packed_runs(values, lengths), usual, votes)
 
 
 @state_value
 @dataclass(frozen=True)
 class PackedLabels:
-    """:class:`MaskLabels` in little memory: ``mask`` and ``votes`` as runs, and the mask's shape."""
+    """:class:`MaskLabels` in little memory: ``votes``, too, as runs."""
 
     mask: NDArray[np.uint16] | None
-    shape: tuple[int, ...]
     usual: Labels
     votes: NDArray[np.uint16]
 
     @staticmethod
     def of(labels: MaskLabels) -> PackedLabels:
         """Pack ``labels``."""
-        mask = labels.mask
-        runs, shape = (None, ()) if mask is None else (as_runs(mask), mask.shape)
-        return PackedLabels(runs, shape, labels.usual, as_runs(labels.votes))
+        return PackedLabels(labels.mask, labels.usual, as_runs(labels.votes))
 
     def unpacked(self, shape: tuple[int, ...], classes: ClassTable) -> MaskLabels:
         """Return the labels again, those of ``classes`` merged since as one; ``shape``: the grid's."""
-        mask = None if self.mask is None else from_runs(self.mask, self.shape)
-        usual = classes.merged(self.usual)
-        return MaskLabels(mask, usual, from_runs(self.votes, shape, classes.merged))
+        return MaskLabels(self.mask, classes.merged(self.usual), from_runs(self.votes, shape, classes.merged))
 
 
 class LabelPictures:
@@ -119,7 +116,7 @@ class LabelPictures:
         )
         spread_labels(
             step=self._grid.step,
-            mask=None if labels.mask is None else self._uploaded(labels.mask),
+            mask=(None, None, None) if labels.mask is None else self._runs(labels.mask, shape),
             usual=self._uploaded(labels.usual),
             few=grids[0],
             out=first,
@@ -130,6 +127,13 @@ class LabelPictures:
             device=self._device,
         )
         return first, second, third
+
+    def _runs(self, mask: NDArray[np.uint16], shape: tuple[int, int]) -> tuple[Any, Any, Any]:
+        """Return the runs of a ``mask`` of ``shape`` on the device: ids, ends, and each row's first."""
+        ends = ends_of_runs(mask, shape)
+        first = np.searchsorted(ends, np.arange(shape[0]) * shape[1], side="right")
+        ids = wp.array(mask[0], dtype=wp.uint16, device=self._device)
+        return ids, self._uploaded(ends.astype(np.int32)), self._uploaded(first.astype(np.int32))
 
     def _uploaded(self, image: Labels) -> Any:
         return wp.array(image, dtype=int, device=self._device)
