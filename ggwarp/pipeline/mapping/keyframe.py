@@ -202,12 +202,15 @@ class Keyframes(Sequence[Keyframe], Stateful):
         return to_host(depth)
 
     def label(self, number: int, labels: Any) -> None:
-        """Replace the labels of keyframe ``number``, if any, by ``labels`` [h, w] int, of any device."""
+        """Replace the labels of keyframe ``number``, if any, by ``labels`` [h, w] int.
+
+        An array of the device is the keyframe's from now on.
+        """
         key = number, "labels"
         if key in self._images:
-            array = self._images.get(key)
-            array.assign(labels)
-            self._images.put(key, array)
+            if isinstance(labels, np.ndarray):
+                labels = wp.array(labels, dtype=int, device=self._images.device)
+            self._images.put(key, labels)
             self._packed_labels.pop(number, None)
 
     def leave_out(self, number: int, pixels: NDArray[np.bool_]) -> int:
