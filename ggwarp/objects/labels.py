@@ -19,11 +19,16 @@ def contingency(rows: Labels, columns: Labels, classes: int) -> NDArray[np.int64
 
     Pixels unknown in either are left out.
     """
-    size = classes + 1  # unknown ones, first, are counted and dropped: faster than choosing the others
+    return contingency_with_unknown(rows, columns, classes)[1:, 1:]
+
+
+def contingency_with_unknown(rows: Labels, columns: Labels, classes: int) -> NDArray[np.int64]:
+    """Return [classes + 1, classes + 1] the same where unknown pixels count, too, as the first label."""
+    size = classes + 1
     pairs = np.multiply(np.maximum(rows, _UNKNOWN), size, dtype=np.intp)
     pairs += np.maximum(columns, _UNKNOWN)
     pairs += size + 1
-    return np.bincount(pairs.ravel(), minlength=size * size).reshape(size, size)[1:, 1:]
+    return np.bincount(pairs.ravel(), minlength=size * size).reshape(size, size)
 
 
 def as_runs(labels: Labels) -> NDArray[np.uint16]:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ggwarp.geometry.voxels import labelled_voxels, voxel_keys
 from ggwarp.objects.class_table import IGNORED, NO_OBJECT, ClassTable
-from ggwarp.objects.labels import Labels, as_runs, contingency, from_runs
+from ggwarp.objects.labels import Labels, as_runs, from_runs
 from ggwarp.objects.masks.mask_view import MaskView
 from ggwarp.runtime.state import Stateful
 from ggwarp.types import Float32
@@ -89,15 +89,13 @@ class LabelHistory(Stateful):
         Arguments as of :meth:`correct`.
         """
         assert mask.knowledge is not None
-        known = np.where(mask.surface.depth > 0.0, mask.knowledge.known, np.int32(IGNORED))
-        given = mask.labels
-        table = contingency(known, given, int(max(known.max(), given.max(), 0)) + 1)
+        table = mask.overlaps[1:, 1:]
         sizes, usual = table.sum(axis=1), table.argmax(axis=1)
         differs = (usual != np.arange(len(table))) & (table.max(axis=1) > _MAJORITY * sizes)
         doubtful = np.flatnonzero(differs & (sizes >= _LEAST_PIXELS)).tolist()
         if not anew and not doubtful:
             return []
-        places = _places(mask.surface.places, known.ravel(), given.ravel())
+        places = _places(mask.surface.places, mask.known.ravel(), mask.labels.ravel())
         if anew:
             self._views.update(places.labelled)
         wrong: list[tuple[int, int]] = []

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ggwarp.geometry.camera import Camera
 from ggwarp.objects.class_table import IGNORED, NO_OBJECT
-from ggwarp.objects.labels import Labels, filled
+from ggwarp.objects.labels import Labels, contingency_with_unknown, filled
 from ggwarp.types import Float32, Float64
 
 _TOLERANCE = 0.05  # of the depth: a view shows a point that is no farther from its surface
@@ -101,6 +101,18 @@ class MaskView:
     knowledge: MapKnowledge | None = None
     segments: Labels | None = None
     fresh: frozenset[int] = frozenset()
+
+    @cached_property
+    def known(self) -> Labels:
+        """[h, w] the class that the map knows where there is depth; negative: none."""
+        assert self.knowledge is not None
+        return np.where(self.surface.depth > 0.0, self.knowledge.known, np.int32(IGNORED))
+
+    @cached_property
+    def overlaps(self) -> NDArray[np.int64]:
+        """[k + 1, k + 1] pixels by :attr:`known` class and by label, from -1, not known, on."""
+        classes = int(max(self.known.max(), self.labels.max(), 0)) + 1
+        return contingency_with_unknown(self.known, self.labels, classes)
 
     def with_labels(self, labels: Labels, *fresh: int) -> MaskView:
         """Return the same with other ``labels`` [h, w], and more classes to learn fast."""

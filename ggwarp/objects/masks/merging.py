@@ -13,9 +13,10 @@ from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ggwarp.objects.class_table import IGNORED, NO_OBJECT, ClassTable
-from ggwarp.objects.labels import Labels, contingency
+from ggwarp.objects.class_table import NO_OBJECT, ClassTable
+from ggwarp.objects.labels import contingency
 from ggwarp.objects.masks.mask_view import MaskView
 from ggwarp.runtime.state import Stateful
 
@@ -76,7 +77,7 @@ class ObjectMerger(Stateful):
         """Take in a frame; return the pairs (lower, higher class) that are one from now on."""
         if self._least == 0 or mask.knowledge is None:
             return []
-        covers = _covering_segments(mask.knowledge.known, mask.labels, mask.segments)
+        covers = _covering_segments(mask)
         found = []
         objects = sorted(covers)
         for i, one in enumerate(objects):
@@ -103,26 +104,25 @@ class ObjectMerger(Stateful):
                     counter[min(kept, other), max(kept, other)] += amount
 
 
-def _covering_segments(known: Labels, labels: Labels, segments: Labels | None) -> dict[int, int]:
+def _covering_segments(mask: MaskView) -> dict[int, int]:
     """Return object -> the segment that covers it.
 
     Where segments bear objects' numbers, one shows the object of its own number even where the map does not.
-
-    Args:
-        known: as of :class:`ggwarp.objects.masks.mask_view.MapKnowledge`.
-        labels, segments: as of :class:`ggwarp.objects.masks.mask_view.MaskView`.
     """
-    numbered = segments is None
-    if segments is None:
-        segments = np.where(labels == NO_OBJECT, IGNORED, labels)
-    size = int(max(known.max(), segments.max(), 0)) + 1
-    table = contingency(known, segments, size)
-    seen, best, least = table.sum(axis=1), table.argmax(axis=1), _LEAST_AREA * known.size
-    covers = {
-        m: int(best[m]) for m in range(1, size) if seen[m] >= least and table[m, best[m]] > _COVERED * seen[m]
-    }
-    if numbered:
-        areas = np.bincount((segments - IGNORED).ravel(), minlength=size + 1)[1:]
-        for m in np.nonzero(areas >= least)[0].tolist():
-            covers.setdefault(m, m)
+    least = _LEAST_AREA * mask.labels.size
+    if mask.segments is not None:
+        classes = int(max(mask.known.max(), mask.segments.max(), 0)) + 1
+        return _covers(contingency(mask.known, mask.segments, classes), least)
+    table = mask.overlaps[1:, 1:].copy()
+    table[:, NO_OBJECT] = 0
+    covers, areas = _covers(table, least), mask.overlaps[:, 1:].sum(axis=0)
+    for m in np.flatnonzero(areas[1:] >= least).tolist():
+        covers.setdefault(m + 1, m + 1)
     return covers
+
+
+def _covers(table: NDArray[np.int64], least: float) -> dict[int, int]:
+    """Return the same by [k, k] pixels of each object and segment; objects of fewer have none."""
+    seen, best, most = table.sum(axis=1), table.argmax(axis=1), table.max(axis=1)
+    covered = (seen >= least) & (most > _COVERED * seen)
+    return {m: int(best[m]) for m in np.flatnonzero(covered).tolist() if m != NO_OBJECT}
