@@ -25,6 +25,13 @@ def reach_of(depth: Float32) -> Float32:
     return reach if np.isfinite(reach).all() else reach_of(np.where(np.isfinite(depth), depth, np.float32(0)))
 
 
+def median_reading(depth: Float32) -> float:
+    """Return the median of the readings in ``depth`` (any shape), metres, the upper of two; 0: of none."""
+    readings = depth[depth > 0.0]
+    half = len(readings) // 2
+    return float(np.partition(readings, half)[half]) if len(readings) else 0.0
+
+
 def same_reach(reach: float) -> Float32:
     """Return that of a picture that reaches equally far everywhere."""
     return np.full((ROWS, COLUMNS), reach, np.float32)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ggwarp.geometry import se3, sim3
 from ggwarp.geometry.camera import Camera
 from ggwarp.geometry.pixel_grid import PixelGrid
-from ggwarp.geometry.view_volume import COLUMNS, ROWS, Bools, ViewVolume, reach_of, same_reach
+from ggwarp.geometry.view_volume import COLUMNS, ROWS, Bools, ViewVolume, median_reading, reach_of, same_reach
 from ggwarp.map.cells import Cells, nearest
 from ggwarp.map.gaussian_map import GROWTH, GaussianMap
 from ggwarp.map.submap import MapBudget, Submap
@@ -105,10 +105,7 @@ class Submaps(Stateful):
             depth: [h, w] metres, 0 = none; None: nothing is known of it.
             bounded: whether it sees nothing beyond that; it may where depth is an estimate.
         """
-        few = np.zeros(0) if depth is None else self._grid.thinned(depth)
-        readings = few[few > 0.0]
-        half = len(readings) // 2  # the median, of one reading: of two it takes three times as long
-        distance = float(np.partition(readings, half)[half]) if len(readings) else 0.0
+        distance = 0.0 if depth is None else median_reading(self._grid.thinned(depth))
         middle = T_wc[:3, 3] + distance * T_wc[:3, 2]
         reach = reach_of(depth) if bounded and depth is not None else same_reach(math.inf)
         number = self._looked_at(T_wc, reach, middle)

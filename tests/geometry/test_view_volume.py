@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from ggwarp.geometry import se3
 from ggwarp.geometry.camera import Camera
-from ggwarp.geometry.view_volume import ViewVolume, reach_of, same_reach
+from ggwarp.geometry.view_volume import ViewVolume, median_reading, reach_of, same_reach
 
 CAMERA = Camera(64, 48, 60.0, 55.0, 28.0, 25.0)
 
@@ -51,3 +51,12 @@ def test_what_a_wall_hides_is_not_in_view() -> None:
     assert seen.tolist() == [False, True, True, True]
     few = reach_of(depth[:3, :5])
     assert few.shape == (6, 8) and few.max() == 2.0
+
+
+def test_readings_of_nothing_have_no_say_in_their_median(rng: np.random.Generator) -> None:
+    depth = rng.uniform(0.5, 4.0, (9, 11)).astype(np.float32)
+    depth[rng.random(depth.shape) < 0.4] = 0.0
+    readings = np.sort(depth[depth > 0.0])
+    assert median_reading(depth) == readings[len(readings) // 2]
+    assert median_reading(np.float32([[0.0, 2.0]])) == 2.0
+    assert median_reading(np.zeros((3, 4), np.float32)) == 0.0
