@@ -87,6 +87,34 @@ def test_an_id_that_the_grid_misses_says_nothing(device: str) -> None:
         assert labels[0, 0] == -1 and labels[2, 2] == 4 and np.count_nonzero(labels) == 2
 
 
+@pytest.mark.parametrize("dots", [1.0, 0.01, 0.0], ids=["all runs are a pixel long", "few are", "one id"])
+def test_labels_of_all_pixels_are_those_of_a_slower_rule(
+    dots: float, device: str, rng: np.random.Generator
+) -> None:
+    grid, shape = PixelGrid.of(LARGE), (683, 1201)
+    mask = np.where(rng.random(shape) < dots, rng.integers(-1, 40, shape), 3).astype(np.int32)
+    votes, other = rng.integers(-1, 9, (2, grid.camera.height, grid.camera.width)).astype(np.int32)
+    given = MaskLabels.of(grid, votes, mask)
+    usual = given.usual[np.minimum(mask + 1, len(given.usual) - 1)]
+    rows, columns = (
+        np.minimum(np.arange(size) // grid.step, few - 1)
+        for size, few in zip(shape, votes.shape, strict=True)
+    )
+    block = np.ix_(rows, columns)
+    label = np.where(grid.thinned(usual)[block] == votes[block], usual, votes[block])
+    changed = np.where(other[block] == votes[block], label, other[block])
+    first, second, third = pictures(grid, given, other, votes, device=device)
+    for found, expected in ((first, label), (second, changed), (third, label)):
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_runs_of_another_picture_are_refused(device: str) -> None:
+    grid, mask = PixelGrid.of(LARGE), np.zeros((683, 1201), np.int32)
+    given = MaskLabels.of(grid, grid.thinned(mask), mask)
+    with pytest.raises(ValueError, match="1200x683"):
+        LabelPictures(grid, device=device).changed(given, (683, 1200), given.votes)
+
+
 def test_without_a_mask_each_block_is_as_its_grid_pixel(device: str, rng: np.random.Generator) -> None:
     grid = PixelGrid.of(LARGE)
     few = rng.integers(0, 99, (grid.camera.height, grid.camera.width)).astype(np.int32)
