@@ -46,9 +46,6 @@ _LEAST_PIXELS = 10 * alignment.PARAMETERS
 _ENOUGH = 20_000
 """Pixels of a size that are compared, at most: the errors of neighbours are alike, see ``INDEPENDENCE``."""
 
-_ENOUGH_TO_START = _ENOUGH // 4
-"""Of coarser sizes: where the finest one starts is then twice as uncertain, still far less than a pixel."""
-
 _COLOUR_NOISE = 0.05
 """Standard deviation of a colour, 0..1."""
 
@@ -123,6 +120,7 @@ class Aligner:
         colour_noise: float = _COLOUR_NOISE,
         agreement: float = 0.0,
         max_pixels: int | None = None,
+        coarse_pixels: int = _ENOUGH,
         recorded: bool | None = None,
         device: Any,
     ) -> None:
@@ -132,6 +130,7 @@ class Aligner:
             colour_noise: standard deviation of a colour, 0..1.
             agreement: see :class:`ggwarp.kernels.photometric.alignment.AlignmentProblem`.
             max_pixels: larger sizes than this are only made smaller; None: the picture's own is compared.
+            coarse_pixels: so many of a coarser size are compared at most: fewer will do near the pose.
             recorded: record an alignment as a graph and replay it; the default does on CUDA where the driver
                 has loops in graphs. On the CPU a recording runs on one thread.
         """
@@ -147,7 +146,7 @@ class Aligner:
         self._observed = self._empty_levels()
         self._rendered: Reference | None = None
         piece = alignment.piece_length(self._device)
-        most = [_ENOUGH] * (self._finest + 1) + [_ENOUGH_TO_START] * (_LEVELS - 1)
+        most = [_ENOUGH] * (self._finest + 1) + [coarse_pixels] * (_LEVELS - 1)
         sizes = [c.width * c.height for c in self.cameras]
         strides = [math.ceil((size / enough) ** 0.5) for size, enough in zip(sizes, most, strict=True)]
         self._sizes = [

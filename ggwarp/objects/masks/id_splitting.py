@@ -79,7 +79,7 @@ class _Part:
         if new := other._keys - self._keys:
             self.__dict__.pop("diameter", None)  # it grows
             self._keys.update(new)
-            self.voxels = np.append(self.voxels, np.fromiter(new, np.int64))
+            self.voxels = np.append(self.voxels, np.sort(np.fromiter(new, np.int64)))
 
 
 class SharedIdSplitter(Stateful):

@@ -19,6 +19,9 @@ from ggwarp.types import Exposure, Float32, Float64, Frame
 _MAX_PIXELS = 80_000
 """Larger pictures are halved: a pose needs no more."""
 
+_COARSE_PIXELS = 5_000
+"""A quarter of the finest size's: a registration came before, whose pose coarser sizes mend at most."""
+
 _COLOUR_NOISE = 0.1
 """Standard deviation of a colour, 0..1: far more than a camera's noise, for what depth's errors, reflections
 and blur do to the residual."""
@@ -74,6 +77,7 @@ class ReferenceViews(Stateful):
             colour_noise=_COLOUR_NOISE,
             agreement=_AGREEMENT,
             max_pixels=_MAX_PIXELS,
+            coarse_pixels=_COARSE_PIXELS,
             device=device,
         )
         self._views: list[View] = []
