@@ -97,16 +97,18 @@ def launch_split(
     prepared_split(kernel, count, inputs=inputs, outputs=outputs, device=device, min_piece=min_piece)()
 
 
-def prepared(kernel: Any, dim: Any, *, inputs: list[Any], outputs: list[Any] = [], device: Any) -> Work:  # noqa: B006
-    """Return a launch of ``kernel``, for loops: its arguments are packed once, which takes the longest.
+def prepared(kernel: Any, dim: Any, *, inputs: list[Any], outputs: list[Any], device: Any) -> Work:
+    """Return a launch of ``kernel``, for loops: on a CPU its arguments are packed once, which takes longest.
 
-    Numbers are kept by value, arrays by address.
+    Numbers are kept by value, arrays by address. On CUDA, and in a recording, it is a launch like any other.
     """
-    block_dim = block_size(kernel)
-    launch: Any = wp.launch(
-        kernel, dim=dim, inputs=inputs, outputs=outputs, device=device, block_dim=block_dim, record_cmd=True
-    )
-    return launch.launch
+    device = wp.get_device(device)
+
+    def launch(**more: Any) -> Any:
+        options = {"inputs": inputs, "outputs": outputs, "device": device, "block_dim": block_size(kernel)}
+        return wp.launch(kernel, dim=dim, **options, **more)
+
+    return launch(record_cmd=True).launch if device.is_cpu and not device.is_capturing else launch
 
 
 def prepared_split(

@@ -55,13 +55,8 @@ class Elsewhere:
 @pytest.mark.parametrize("kernel", [_count_up, gicp._linearise])
 def test_on_a_gpu_blocks_are_those_that_the_module_is_compiled_for(monkeypatch, kernel):
     launches = []
-
-    class Command:
-        def __init__(self, block_dim):
-            self.launch = lambda: launches.append(block_dim)
-
     monkeypatch.setattr(wp, "get_device", lambda device: device)
-    monkeypatch.setattr(wp, "launch", lambda kernel, **options: Command(options["block_dim"]))
+    monkeypatch.setattr(wp, "launch", lambda kernel, **options: launches.append(options["block_dim"]))
     launch_split(kernel, 100, inputs=[], device=Elsewhere())
     assert launches == [kernel.module.options["block_dim"]]
     assert gicp._linearise.module.options["block_dim"] == 64
