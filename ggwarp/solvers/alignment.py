@@ -274,7 +274,9 @@ class Aligner:
         """
         self._load([self._taken_render()], T_cw, [exposure])
         size = self._sizes[level]
-        alignment.linearise(self._arrays.loop, level=level, size=size, references=1, device=self._device)
+        alignment.linearisation(
+            self._arrays.loop, level=level, size=size, references=1, device=self._device
+        )()
         return unpacked(self._arrays.read(1)[2][0], size.stride**2)
 
     def _load(

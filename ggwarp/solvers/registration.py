@@ -253,5 +253,5 @@ class Registrar(Stateful):
 
 
 def unpack_information(system: Float64) -> Float64:
-    """Return H [6, 6] of a system as :func:`ggwarp.kernels.registration.gicp.linearise` packs it."""
+    """Return H [6, 6] of a system as :func:`ggwarp.kernels.registration.gicp.linearisation` packs it."""
     return system[_PLACES]

@@ -124,11 +124,6 @@ class AlignmentArrays:
     sums: Any
     folded: Any
 
-    @property
-    def references(self) -> int:
-        """R."""
-        return self.origins.shape[0]
-
 
 @wp.kernel
 def _linearise(
@@ -236,13 +231,6 @@ def piece_length(device: Any) -> int:
 def folds(items: int, device: Any) -> bool:
     """Return whether rows are added in two steps: where many threads would wait for few."""
     return items > 2 * FOLDED and not wp.get_device(device).is_cpu
-
-
-def linearise(
-    arrays: AlignmentArrays, *, level: int, size: AlignmentSize, references: int, device: Any
-) -> None:
-    """Sum the normal equations; see :func:`linearisation`."""
-    linearisation(arrays, level=level, size=size, references=references, device=device)()
 
 
 def linearisation(

@@ -164,15 +164,11 @@ def _update_kernel(
     state[ACTIVE] = wp.where(state[LEFT] > 0 and not (size2 < small), 1, 0)
 
 
-def update_pose(arrays: AlignmentArrays, rules: StepRules, *, references: int, device: Any) -> None:
-    """Take a Gauss-Newton step of the pose and the exposures by ``systems``.
+def pose_update(arrays: AlignmentArrays, rules: StepRules, *, references: int, device: Any) -> Work:
+    """Return what takes a Gauss-Newton step of the pose and the exposures by ``systems``.
 
     A matrix that fixes no pose leaves it; too few pixels leave all.
     """
-    _update(arrays, rules, references, device)()
-
-
-def _update(arrays: AlignmentArrays, rules: StepRules, references: int, device: Any) -> Work:
     a, r = arrays, rules
     inputs = [
         references, r.share, r.exposure_precision, r.deviation_share * r.settled**2, r.least_pixels,
@@ -198,10 +194,9 @@ def run_size(
     Args:
         level: the size's place in ``arrays.views``.
     """
-
     step = in_turn(
         linearisation(arrays, level=level, size=size, references=references, device=device),
-        _update(arrays, rules, references, device),
+        pose_update(arrays, rules, references=references, device=device),
     )
     wp.launch(_begin_kernel, dim=1, inputs=[rules.iterations], outputs=[arrays.state], device=device)
     wp.capture_while(arrays.state[ACTIVE : ACTIVE + 1], step)

@@ -97,7 +97,7 @@ def add_pixel(
     Args:
         seen: its colour and depth.
         x, iz, u, v: its point in the observing camera's frame, 1 / x_z, and the pixel where it appears.
-        gain, bias: e^a and b. noise, robust, agreement: see ``alignment.linearise``.
+        gain, bias: e^a and b. noise, robust, agreement: see ``alignment.AlignmentProblem``.
     """
     inside = u >= 0.0 and v >= 0.0 and u < float(observed.shape[1] - 1) and v < float(observed.shape[0] - 1)
     if inside and agreement > 0.0:

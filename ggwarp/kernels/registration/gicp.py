@@ -151,7 +151,7 @@ def match_points(problem: Any, pose: Any, *, count: int, radius: float, distance
     """Find each frame point's squared distance, m^2, to the nearest map point; inf for none.
 
     Args:
-        problem, pose: see :func:`linearise`.
+        problem, pose: see :func:`linearisation`.
         count: the problem's points.
         radius: metres.
         distances2: [>= count] float, written.
@@ -236,11 +236,6 @@ def points_per_block(device: Any) -> int:
 def block_count(n: int, device: Any) -> int:
     """Return the rows of ``sums`` that ``n`` points need."""
     return -(-n // points_per_block(device))
-
-
-def linearise(problem: Any, stages: Any, **more: Any) -> None:
-    """Match the points to the map and sum the normal equations; see :func:`linearisation`."""
-    linearisation(problem, stages, **more)()
 
 
 def linearisation(

@@ -89,16 +89,12 @@ class LoopArrays:
     folded: Any
 
 
-def update_pose(arrays: LoopArrays, *, stage: int, damping: float = 0.0, device: Any) -> None:
-    """Solve (H + damping diag H) xi = g and set T_wc <- T_wc Exp(xi); a singular system leaves T_wc.
+def pose_update(arrays: LoopArrays, *, stage: int, damping: float = 0.0, device: Any) -> Work:
+    """Return what solves (H + damping diag H) xi = g and sets T_wc <- T_wc Exp(xi); singular, it stays.
 
     Args:
         damping: Levenberg-Marquardt's relative damping.
     """
-    _update(arrays, stage, damping, device)()
-
-
-def _update(arrays: LoopArrays, stage: int, damping: float, device: Any) -> Work:
     inputs = [arrays.stages, stage, damping, arrays.system]
     outputs = [arrays.pose, arrays.progress, arrays.state]
     return prepared(_update_kernel, 1, inputs=inputs, outputs=outputs, device=device)
@@ -112,7 +108,6 @@ def run_stage(arrays: LoopArrays, *, stage: int, count: int, device: Any) -> Non
     Args:
         count: at least the points that the stage uses.
     """
-
     step = in_turn(
         linearisation(
             arrays.problem,
@@ -125,7 +120,7 @@ def run_stage(arrays: LoopArrays, *, stage: int, count: int, device: Any) -> Non
             system=arrays.system,
             device=device,
         ),
-        _update(arrays, stage, 0.0, device),
+        pose_update(arrays, stage=stage, device=device),
     )
     wp.launch(_begin_kernel, dim=1, inputs=[arrays.stages, stage], outputs=[arrays.state], device=device)
     wp.capture_while(arrays.state[ACTIVE : ACTIVE + 1], step)

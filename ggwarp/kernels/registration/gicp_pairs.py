@@ -95,7 +95,7 @@ def pair_residuals(
     """Measure each pair's residual e^T M e, in variances of what its covariances let expect.
 
     Args:
-        problem, pose: see :func:`ggwarp.kernels.registration.gicp.linearise`.
+        problem, pose: see :func:`ggwarp.kernels.registration.gicp.linearisation`.
         count: the problem's points.
         radius: farthest match, metres.
         residuals2: [>= count] float, written; inf for a point without a match.
@@ -123,7 +123,7 @@ def fix_across(
 
     Args:
         problem, stages, stage, pose, sums, folded, device: see
-            :func:`ggwarp.kernels.registration.gicp.linearise`; all points are used.
+            :func:`ggwarp.kernels.registration.gicp.linearisation`; all points are used.
         count: at least the problem's points.
         system: [SUMS] float64, written: as H there, the rest 0. Not positive definite where nothing is seen.
     """

@@ -87,7 +87,7 @@ def system(
     arrays.loop.systems.fill_(7.0)
     reference = reference_to(rendered, observed, device)
     arrays.load([reference], motion, [EXPOSURE], comparison)
-    alignment.linearise(arrays.loop, level=0, size=size, references=1, device=device)
+    alignment.linearisation(arrays.loop, level=0, size=size, references=1, device=device)()
     return arrays.read(1)[2][0]
 
 
@@ -113,7 +113,7 @@ def test_references_are_summed_each_by_itself(device: str, rng: np.random.Genera
         arrays = AlignmentLoopArrays(room, [size], device)
         chosen = [references[r] for r in numbers]
         arrays.load(chosen, MOTION, [exposures[r] for r in numbers], comparison)
-        alignment.linearise(arrays.loop, level=0, size=size, references=len(numbers), device=device)
+        alignment.linearisation(arrays.loop, level=0, size=size, references=len(numbers), device=device)()
         return arrays.read(len(numbers))[2]
 
     together = found([0, 1, 2], 4)

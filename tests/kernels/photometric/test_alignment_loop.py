@@ -54,7 +54,7 @@ def stepped(
     arrays.load([reference] * count, START, exposures, COMPARISON, prior, fit_exposure=fit_exposure)
     arrays.loop.systems.assign(systems)
     arrays.loop.state.assign(np.array([1, 5, 0, 2], np.int32))
-    alignment_loop.update_pose(arrays.loop, given or rules(), references=count, device=device)
+    alignment_loop.pose_update(arrays.loop, given or rules(), references=count, device=device)()
     T_cw, moved, _, state = arrays.read(count)
     return T_cw, np.array(moved), state
 

@@ -7,8 +7,8 @@ import warp as wp
 
 from ggwarp.geometry import se3
 from ggwarp.kernels.registration import gicp, gicp_loop
-from ggwarp.kernels.registration.gicp import SUMS, block_count, linearise, match_points
-from ggwarp.kernels.registration.gicp_loop import CONVERGED, ITERATIONS, LoopArrays, run_stage, update_pose
+from ggwarp.kernels.registration.gicp import SUMS, block_count, linearisation, match_points
+from ggwarp.kernels.registration.gicp_loop import CONVERGED, ITERATIONS, LoopArrays, pose_update, run_stage
 from ggwarp.kernels.registration.gicp_pairs import fix_across, pair_residuals
 from ggwarp.kernels.registration.hash_grid import allocate_hash_grid, build_hash_grid
 from ggwarp.ops.reference.registration import gicp_cost, gicp_system
@@ -88,7 +88,7 @@ class Case:
 
     def linearise(self, radius=0.2, robust_scale=1e6, thinning=1):
         self.set_stage(radius, robust_scale, thinning)
-        linearise(
+        linearisation(
             self.arrays.problem,
             self.arrays.stages,
             stage=1,
@@ -98,7 +98,7 @@ class Case:
             folded=self.arrays.folded,
             system=self.system,
             device=self.device,
-        )
+        )()
         return self.system.numpy()
 
     def across(self, radius=0.2, robust_scale=1e6):
@@ -125,7 +125,7 @@ class Case:
         return found.numpy()
 
     def update(self, damping=0.0):
-        update_pose(self.arrays, stage=1, damping=damping, device=self.device)
+        pose_update(self.arrays, stage=1, damping=damping, device=self.device)()
         return self.progress.numpy()[:2]
 
     def run(self):
